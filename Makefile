@@ -3,7 +3,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip
-INSTALL := $(PIP) install --quiet --no-build-isolation --constraint constraints.txt
+# Python compiles a module when it is first imported; all of them would take 15 s here.
+INSTALL := $(PIP) install --quiet --no-compile --no-build-isolation --constraint constraints.txt
 PACKAGES := servo_msgs_py servo_bridge servo_twin
 
 # Serial port or pyserial URL of a real board, and its speed; without PORT there is a virtual board.
@@ -24,9 +25,9 @@ REALTIME := --timeout 120 -o faulthandler_timeout=180
 REALTIME_FILES = $(if $(PYTEST_ARGS),,$(shell grep -rl --include='test_*.py' 'mark\.realtime' firmware $(PACKAGES) tests))
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache, where
 # the compiler lists the headers (-MD) without a run of the preprocessor; without link-time optimisation the rest takes a
-# fourth of the time. The numbers are the same bits.
+# fourth of the time. The numbers are the same bits. It is the cache of the user: another checkout finds the same files.
 CCACHE := $(wildcard /usr/lib/ccache)
-# The pytest of Ubuntu 24.04, which `colcon test` has to do with there.
+# The pytest of Ubuntu 24.04, used by `colcon test` there.
 UBUNTU_PYTEST := $(VENV)/pytest-7.4
 # Tests publish commands: a domain of their own keeps them away from other nodes. Each worker adds its number (tests/conftest.py).
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 22 * 4 + 10 )))
@@ -145,7 +146,7 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, the same but for last bits
+fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, results equal except for rounding
 
 $(VENV)/.fast: $(VENV)/.native
 	@rm -f $(VENV)/.native
@@ -170,7 +171,7 @@ demo test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test: export ROS_DOMAIN_ID := $(TEST_DOMAIN_ID)
 test: export SERVO_TWIN_FLAGS := $(ARCH) -O1 -g0 -fno-lto -MD
 test: export PATH := $(addsuffix :,$(CCACHE))$(PATH)
-test: export CCACHE_DIR := $(CURDIR)/$(VENV)/ccache
+test: export CCACHE_BASEDIR := $(CURDIR)
 test: export CCACHE_NOHASHDIR := 1
 test: export CCACHE_DEPEND := 1
 # Tests start some hundred processes; without byte code each compiles what it imports, the bridge for 0.2 s.
@@ -183,7 +184,7 @@ $(VENV)/.created:
 	@python=$$(sh .ci/check-tools) && \
 	echo "[1/4] virtual environment $(VENV) with $$python" && \
 	"$$python" -m venv --clear $(if $(ROS_DISTRO),--system-site-packages) $(VENV)
-	@$(PIP) install --quiet --constraint constraints.txt pip setuptools cffi numpy 'tomli; python_version < "3.11"'
+	@$(PIP) install --quiet --no-compile --constraint constraints.txt pip setuptools cffi numpy 'tomli; python_version < "3.11"'
 	@touch $@
 
 $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
@@ -209,5 +210,5 @@ $(VENV)/.native: $(VENV)/.packages $(NATIVE)
 $(VENV)/.dev: $(VENV)/.packages pyproject.toml
 	@echo "[dev] tools for tests and checks"
 	@$(INSTALL) --group dev
-	@$(PIP) install --quiet --no-deps --upgrade --target $(UBUNTU_PYTEST) pytest==7.4.4
+	@$(PIP) install --quiet --no-compile --no-deps --upgrade --target $(UBUNTU_PYTEST) pytest==7.4.4
 	@touch $@

@@ -191,7 +191,7 @@ class Chain:
         """Start a console script of the running Python environment; skip the test if it is not installed."""
         path = Path(sys.executable).with_name(name)
         if not path.exists():
-            pytest.skip(f"{name} is not installed beside {sys.executable}")
+            pytest.skip(f"{name} is not installed next to {sys.executable}")
         return self._launch(name, [str(path), *arguments])
 
     def board(self, seed: int = 5, flash: Path | None = None) -> Process:

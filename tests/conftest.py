@@ -24,7 +24,7 @@ if "ROS_DOMAIN_ID" in os.environ:
 
 SKIP_NOTHING = "TESTS_SKIP_NOTHING"
 ALLOWED = (
-    "root may write everywhere",
+    "root can write everywhere",
     "no `ros2 launch`: it has no wheel; source a ROS 2, or `make launch-tools`",
 )
 """Allowed reasons of a skip: not a missing tool."""

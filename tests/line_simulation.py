@@ -47,12 +47,16 @@ class SimulatedLine:
 
     def advance(self, until_ns: int) -> None:
         """Advance simulated time and log the shafts."""
-        while self.board.time_ns < until_ns:
-            self.board.advance(min(until_ns, (self.board.time_ns // STEP_NS + 1) * STEP_NS))
-            truths = [self.board.truth(axis) for axis in range(AXES)]
-            self.log.time.append(self.board.time_ns * 1e-9)
-            self.log.theta.append(tuple(t.theta_m for t in truths))
-            self.log.omega.append(tuple(t.omega_m for t in truths))
+        now = self.board.time_ns
+        while now < until_ns:
+            step_end = (now // STEP_NS + 1) * STEP_NS
+            now = min(until_ns, step_end)
+            self.board.advance(now)
+            if now == step_end:
+                truths = [self.board.truth(axis) for axis in range(AXES)]
+                self.log.time.append(now * 1e-9)
+                self.log.theta.append(tuple(t.theta_m for t in truths))
+                self.log.omega.append(tuple(t.omega_m for t in truths))
 
     def write(self, data: bytes) -> None:
         while data and self.plugged:

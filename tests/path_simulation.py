@@ -58,6 +58,8 @@ class PathSimulation:
         self.errors: list[str] = []
         self.end_times: list[float] = []
         self.refusals: list[TrajectoryError] = []
+        self.abandoned: list[str] = []
+        self.postponed = 0  # paths that begin later because the board has refused their first points
         self.writes_lost = False  # no write reaches the board, as after a crash of the bridge
         self.write_delay = 0.0  # from the bridge to the board [s]
         self._writes_in_transit: list[tuple[float, CommandWrite]] = []
@@ -111,7 +113,20 @@ class PathSimulation:
     def follow(self, plan: Plan, joints: Sequence[str] = JOINTS, start: float = 0.0) -> None:
         """Request a path."""
         self.arbiter.admit("test", [JOINTS.index(joint) for joint in joints])
-        self.follower.request(joints, plan, self.end_times.append, self.refusals.append, start)
+
+        def postponed() -> bool:
+            self.postponed += 1
+            return True
+
+        self.follower.request(
+            joints,
+            plan,
+            self.end_times.append,
+            self.refusals.append,
+            start,
+            abandoned=self.abandoned.append,
+            postponed=postponed,
+        )
         self.dispatcher.pump()
 
     def receive(self, points: Mapping[int, JointSetPoint], stamp: float) -> None:

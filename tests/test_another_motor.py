@@ -77,8 +77,8 @@ class Checkout:
         """Rows of one experiment on the other motors.
 
         With the averaged plant, as the design is linear. With the switching plant axis 2 hunts by three counts:
-        in a winding of 0.15 mH the bus builds up 0.16 A within a dead time. The inverter may keep back as much, which
-        is worth four times the friction that holds this shaft.
+        in a winding of 0.15 mH the current rises by 0.16 A within a dead time. The inverter may suppress it; it is
+        four times the friction current of this shaft.
         """
         options = ("--plant", "plant.toml", "--level", "ideal", "--json")
         text = self.python("-m", "servo_twin.cli", "experiment", name, *options)

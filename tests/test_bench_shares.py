@@ -23,7 +23,7 @@ fn=(2)
 """
 
 
-def test_part_of_a_source_file() -> None:
+def test_source_files_are_assigned_to_parts() -> None:
     assert part_of("/x/servo_twin/native/plant/switched_inverter.c") == "plant"
     assert part_of("/x/servo_twin/native/chip/pwm.c") == "chip"
     assert part_of("/x/firmware/port/mc56f84789/pwm.c") == "drivers"

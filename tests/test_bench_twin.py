@@ -25,11 +25,11 @@ def test_boards_run_in_parallel(level: Level, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(twin.SIMULATED, level, 0.05)
     both = twin.run_in_parallel(level, 2)
     assert both.factor > 0.0
-    assert 0.0 < both.had <= 1.0
+    assert 0.0 < both.cpu_share <= 1.0
 
 
-def boards(had: float) -> dict[str, dict[str, Any]]:
-    return {"1": {"factor": 50.0, "had": 1.0}, "2": {"factor": 90.0, "had": had}}
+def boards(cpu_share: float) -> dict[str, dict[str, Any]]:
+    return {"1": {"factor": 50.0, "cpu_share": 1.0}, "2": {"factor": 90.0, "cpu_share": cpu_share}}
 
 
 def test_growth_is_relative_to_one_board() -> None:
@@ -39,7 +39,7 @@ def test_growth_is_relative_to_one_board() -> None:
 
 
 def test_growth_reports_other_load() -> None:
-    assert "the boards had 1: 100%, 2: 40%" in twin.growth(boards(0.4))[1]
+    assert "CPU share of the boards: 1: 100%, 2: 40%" in twin.growth(boards(0.4))[1]
 
 
 @pytest.mark.parametrize(
@@ -47,8 +47,8 @@ def test_growth_reports_other_load() -> None:
     [
         (b"\0GCC: (Debian 12.2.0-14) 12.2.0\0", "gcc 12.2.0"),
         (b"\0GCC: (Debian 12.2.0-14) 12.2.0\0Debian clang version 22.1.8 (1)\0", "clang 22.1.8"),
-        (b"\0", "a compiler that does not say"),
+        (b"\0", "unknown compiler"),
     ],
 )
-def test_compiler_of_a_library(comment: bytes, name: str) -> None:
+def test_compiler_of_a_library_is_identified(comment: bytes, name: str) -> None:
     assert twin.compiler(b"\x7fELF" + comment) == name

@@ -156,8 +156,8 @@ def test_shaft_stays_within_its_range_on_a_slow_line(
     output = capsys.readouterr()
     assert status == 0, output.err
     assert board.read("param.command_timeout") == 2.0
-    way = max(abs(theta[0] - start) for theta in line.log.theta)
-    assert 20.0 < way < float(output.err.split("up to ")[1].split(" rad")[0])
+    travel = max(abs(theta[0] - start) for theta in line.log.theta)
+    assert 20.0 < travel < float(output.err.split("up to ")[1].split(" rad")[0])
 
 
 @pytest.mark.realtime

@@ -1,4 +1,4 @@
-"""Comments of C headers: a unit or format for every numeric member, and no sentence that needs the line before it."""
+"""Comments of C headers: a unit or format for every numeric member, and complete sentences on each line."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ STRUCTURE = re.compile(r"\bstruct\s*\w*\s*\{\n(.*?)\n\}", re.DOTALL)
 MEMBER = re.compile(r"\s*(?:volatile )?(frac16_t|frac32_t|gain_t|path_position_t|pi_sum_t|u?int\d+_t) (\w[^;(]*);(.*)")
 FRACTIONS = {"frac16_t", "frac32_t"}
 REAL_MEMBER = re.compile(r"\s*(double) (\w[^;(]*);(.*)")
-# Behind a member, a constant or a name of an enumeration: a comment that needs the line before it to be understood.
+# After a member, a constant or a name of an enumeration: a comment that continues the previous line.
 CONTINUATION = re.compile(r"[;,\w)}]\s*/\*\s*(\.\.|the same\b|of\b|that\b|and\b)|\.\.\s*\*/", re.IGNORECASE)
-# A unit in brackets; [1]: none.
+# A unit in brackets; [1]: no unit.
 UNIT = re.compile(r"\[[^\]]+\]")
 # Quantities with a full scale in firmware/doc/references.md, and number formats.
 QUANTITY = re.compile(
@@ -64,13 +64,13 @@ def test_members_of_the_plant_have_a_unit_in_brackets(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ALL_HEADERS, ids=lambda path: str(path.relative_to(FIRMWARE.parent)))
-def test_a_comment_is_understood_without_the_line_before_it(path: Path) -> None:
+def test_a_comment_does_not_continue_the_previous_line(path: Path) -> None:
     lines = path.read_text(encoding="utf-8").split("\n")
     assert [f"{number}: {line}" for number, line in enumerate(lines, 1) if CONTINUATION.search(line)] == []
 
 
 @pytest.mark.parametrize("line", ["int a; /* the same */", "X, /* of y */", "int a; /* .. b */", "int a; /* b .. */"])
-def test_a_comment_that_continues_another_one_is_found(line: str) -> None:
+def test_a_comment_that_continues_another_one_is_detected(line: str) -> None:
     assert CONTINUATION.search(line)
 
 

@@ -87,7 +87,7 @@ def go(user: User, *targets: float) -> None:
 
 
 class TestNormalWork:
-    def test_position_on_the_topic_of_one_joint(self, user: User) -> None:
+    def test_position_topic_of_one_joint_moves_its_shaft(self, user: User) -> None:
         go(user, 0.0, 0.0)
         user.position[0].publish(Float64(data=TURN))
         user.until(reached(user, TURN, 0.0), 10.0)
@@ -107,7 +107,7 @@ class TestNormalWork:
         assert max(r["axis1.position"] for r in rows) <= 5 * TURN + OVERSHOOT
         assert min(r["axis2.position"] for r in rows) >= -5 * TURN - OVERSHOOT
 
-    def test_an_array_of_positions(self, user: User) -> None:
+    def test_array_of_positions_moves_both_shafts(self, user: User) -> None:
         user.commands.publish(Float64MultiArray(data=[1.0, -1.0]))
         user.until(reached(user, 1.0, -1.0), 10.0)
 
@@ -175,14 +175,14 @@ class TestNormalWork:
         """One per topic; all kinds of errors: servo_bridge/test/test_node.py."""
         before, written = [user.position_of(0), user.position_of(1)], len(user.applied())
         start = len(user.messages["/servo/snapshot"])
-        for publisher, wrong, said in (
+        for publisher, wrong, expected in (
             (user.joint_commands, JointState(name=BOTH, position=[1.0, 1e9]), "position of axis2"),
             (user.commands, Float64MultiArray(data=[1.0]), "commands: 1 values given"),
             (user.position[1], Float64(data=math.nan), "position is nan"),
         ):
             refused = len(user.rejections())
             publisher.publish(wrong)
-            assert said in user.until_rejected(refused)
+            assert expected in user.until_rejected(refused)
         user.wait_board_time(0.2)
         assert len(user.applied()) == written
         assert max(abs(r["axis1.position"] - before[0]) for r in user.rows(start)) <= AT_REST

@@ -35,8 +35,8 @@ def rows_with_tests(path: Path) -> list[str]:
 
 def test_every_row_has_a_test_and_every_test_a_row() -> None:
     rows = table_rows(TABLE.read_text())
-    assert rows, "there is no table"
-    assert len(rows) == len(set(rows)), "a row stands there twice"
+    assert rows, "no table found"
+    assert len(rows) == len(set(rows)), "a row occurs twice"
     tested = {row for path in TESTS for row in rows_with_tests(path)}
     tested |= {row for row, path in OTHER_FILES.items() if row in rows_with_tests(path)}
     assert sorted(set(rows) - tested) == [], "rows without a test"

@@ -11,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ["servo_msgs_py", "servo_bridge", "servo_twin"]
+FOLDERS = [*(f"{package}/{folder}" for package in PACKAGES for folder in (package, "test")), "firmware", "tests"]
 
 REAL = re.compile(r"\b(float|complex|NDArray|Matrix|_?Array|_Float|_Complex)\b")
 ALIAS = re.compile(r"^(\w+) = Annotated\[float, ", re.MULTILINE)
@@ -39,9 +40,10 @@ def unexplained(text: str) -> Iterator[str]:
                 yield f"{field.lineno}: {node.name}.{ast.unparse(field.target)}"
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_real_valued_fields_of_data_classes_have_a_comment_or_a_docstring(package: str) -> None:
-    paths = sorted((ROOT / package / package).rglob("*.py"))
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_real_valued_fields_of_data_classes_have_a_comment_or_a_docstring(folder: str) -> None:
+    paths = sorted((ROOT / folder).rglob("*.py"))
+    assert paths
     found = [f"{path.name}:{field}" for path in paths for field in unexplained(path.read_text(encoding="utf-8"))]
     assert found == []
 

@@ -60,17 +60,17 @@ def programs(needs_tools: None, c_sources: Sources, tmp_path_factory: pytest.Tem
 def test_committed_table_is_up_to_date(measurement: Measurement) -> None:
     """The table is compared only if it was made with the same compiler."""
     committed = compiler_of(TABLE.read_text(encoding="utf-8"))
-    assert committed, f"{TABLE.name} does not say which compiler it was made with"
+    assert committed, f"{TABLE.name} does not name its compiler"
     lines = difference(table(measurement))
     if committed != measurement.compiler:
         text = f"{TABLE.name} was made with {committed}, here is {measurement.compiler}: not compared"
         warnings.warn("\n".join([text, *lines]), stacklevel=1)
         return
-    assert not lines, "\n".join(["`make bench-firmware UPDATE=1` writes the table anew:", *lines])
+    assert not lines, "\n".join(["`make bench-firmware UPDATE=1` updates the table:", *lines])
 
 
 def test_virtual_core_agrees_with_counted_instructions(measurement: Measurement) -> None:
-    """With the committed weights, over every mode, feature set and feedback; 10 % in the mean and 20 % at worst."""
+    """With the committed weights, for every mode, feature set and feedback; mean error up to 10 %, largest 20 %."""
     charged = measurement.charging.charged(load_weights())
     errors = core_errors(dataclasses.replace(measurement, charged=charged))
     assert len(errors) > 100

@@ -55,15 +55,15 @@ def positions(user: User) -> list[float]:
     return [float(message.position[0]) for message in user.messages["/servo/joint_states"]]
 
 
-def position_validity(user: User, axis: int) -> str:
-    """Validity of the position of an axis in the last diagnostics."""
+def home_state(user: User, axis: int) -> str:
+    """Home state of an axis in the last diagnostics."""
     found: list[Any] = [
         pair.value
         for message in user.messages["/diagnostics"]
         for status in message.status
         if status.name.endswith(f": axis{axis}")
         for pair in status.values
-        if pair.key == "position known"
+        if pair.key == "home state"
     ]
     return str(found[-1]) if found else ""
 
@@ -84,7 +84,7 @@ def test_position_is_set_restored_and_limits_apply(chain: Chain, user: User) -> 
     chain.board()
     user.until(lambda: "DISCONNECTED" not in user.last("/servo/state") and len(positions(user)) > 50, 20.0)
     user.messages["/diagnostics"].clear()
-    user.until(lambda: position_validity(user, 1) == "assumed", 10.0)
+    user.until(lambda: home_state(user, 1) == "assumed", 10.0)
     assert not known(user)
     assert max(abs(position - 0.5) for position in positions(user)) < 0.01, "the position does not jump"
 
@@ -93,7 +93,7 @@ def test_position_is_set_restored_and_limits_apply(chain: Chain, user: User) -> 
     home = user.node.create_client(Trigger, f"/servo/axis2/{topics.HOME}/stop_positive")
     user.until(home.service_is_ready)
     future = home.call_async(Trigger.Request())
-    user.until(lambda: position_validity(user, 2) == "homing" or future.done(), 5.0)
+    user.until(lambda: home_state(user, 2) == "homing" or future.done(), 5.0)
     assert user.quick_stop()[0]
     user.until(future.done, 5.0)
     assert not future.result().success

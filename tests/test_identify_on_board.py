@@ -117,8 +117,8 @@ def test_ctrl_c_keeps_the_recordings_and_restores_the_board(
     log = MeasurementLog.load(tmp_path / "measurement.npz")
     assert log.labelled("sweep_q")
     assert "Ctrl-C" in log.notes["problem"]
-    said = capsys.readouterr().err
-    assert ("the axis is being stopped" in said) == (len(presses) > 1)
+    errors = capsys.readouterr().err
+    assert ("the axis is being stopped" in errors) == (len(presses) > 1)
 
 
 def test_lost_line_is_reported_and_the_board_restored(

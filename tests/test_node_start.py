@@ -159,7 +159,7 @@ def test_default_files_load_with_the_declared_types(package: str, name: str, par
     assert found == {key: spec.default for key, spec in parameters.items()}
     assert {key: type(value) for key, value in found.items()} == {k: type(s.default) for k, s in parameters.items()}
     numbers = [line for line in file.read_text().splitlines() if re.match(r"    \w+: .*\d[eE][+-]?\d", line)]
-    assert not numbers, "a user who changes such a number may leave out its sign or its point, and then it is a string"
+    assert not numbers, "without its sign or decimal point such a number would be read as a string"
 
 
 @pytest.mark.parametrize(

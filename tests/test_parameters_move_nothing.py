@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Final, get_args
+from typing import Final
 
 import numpy as np
 import pytest
@@ -140,15 +140,21 @@ STATES: Final = (
 )  # fmt: skip
 
 
-@pytest.fixture(params=get_args(Level))
-def new_simulation(request: pytest.FixtureRequest) -> Iterator[Callable[[], LineSimulation]]:
+AT_BOTH_LEVELS: Final = (holding, turning, held_at_a_soft_limit, pushing, sensorless_turning)
+"""States of turning or held shafts, on which the ripple of the switching plant acts."""
+
+CASES: Final = [*(("ideal", reach) for reach in STATES), *(("registers", reach) for reach in AT_BOTH_LEVELS)]
+
+
+@pytest.fixture
+def new_simulation() -> Iterator[Callable[[Level], LineSimulation]]:
     """Creates boards with both axes in SPIN and set-points that do not expire."""
     made: list[LineSimulation] = []
 
-    def fresh() -> LineSimulation:
+    def fresh(level: Level) -> LineSimulation:
         for sim in made:
             sim.close()
-        made[:] = [LineSimulation(request.param, BAUD)]
+        made[:] = [LineSimulation(level, BAUD)]
         sim = made[0]
         sim.host.write("param.command_timeout", 0.0)
         sim.host.write("param.host_timeout", 5.0)
@@ -160,16 +166,16 @@ def new_simulation(request: pytest.FixtureRequest) -> Iterator[Callable[[], Line
         sim.close()
 
 
-@pytest.mark.parametrize("reach", STATES, ids=lambda function: function.__name__)
+@pytest.mark.parametrize(("level", "reach"), CASES, ids=lambda value: getattr(value, "__name__", value))
 def test_parameter_written(
-    new_simulation: Callable[[], LineSimulation], reach: Callable[[LineSimulation], None]
+    new_simulation: Callable[[Level], LineSimulation], level: Level, reach: Callable[[LineSimulation], None]
 ) -> None:
     faster = FASTER_SENSORLESS if reach is sensorless_turning else FASTER
     sim: LineSimulation | None = None
     for variable in parameters(CATALOGUE):
         for raw in values(variable):
             if sim is None:
-                sim = new_simulation()
+                sim = new_simulation(level)
                 reach(sim)
                 before, states = {v.name: sim.board.read_raw(v.name) for v in parameters(CATALOGUE)}, sim.states()
             sim.host.keep_alive()

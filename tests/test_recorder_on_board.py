@@ -191,7 +191,7 @@ def test_slow_recorder_agrees_with_the_telemetry(host: Host) -> None:
     host.write("cmd.i_q", [0.5, 0.4])
     host.start(SLOW, names)
     log = board.record(board.time_ns + 50 * TICK_NS)
-    assert host.ask(SET, bytes([FAST, 1, 4, 1, 0, 0, 0])).status == 0x87, "one at a time"
+    assert host.ask(SET, bytes([FAST, 1, 4, 1, 0, 0, 0])).status == 0x87, "only one recorder at a time"
     host.set(SLOW, 4)
     points = host.samples(SLOW, names)
     assert (np.diff(points["tick"]) == SLOW_PERIODS).all()

@@ -43,8 +43,8 @@ def test_names_agree_with_the_viewer_of_the_twin() -> None:
 def test_recordings_have_the_time_of_the_telemetry(chain: Chain, tmp_path: Path) -> None:
     file = tmp_path / "scope.rrd"
     trigger = ("--trigger", f"u_dc > {LEVEL}", "--before", "30%", "--points", str(POINTS))
-    said = chain.tool("scope", "--fast", "u_dc", "axis1.i_a", *trigger, "--count", "2", "--save", str(file))
-    assert "2 bursts and" in said.splitlines()[-1]
+    output = chain.tool("scope", "--fast", "u_dc", "axis1.i_a", *trigger, "--count", "2", "--save", str(file))
+    assert "2 bursts and" in output.splitlines()[-1]
     times, values = read_scalars(file, scene.burst_entity("u_dc", scene.BOARD))
     assert len(times) == 2 * (POINTS + 1), "a gap ends each burst"
     assert np.isnan(values[[POINTS, -1]]).all()
@@ -59,7 +59,7 @@ def test_recordings_have_the_time_of_the_telemetry(chain: Chain, tmp_path: Path)
         where = np.rint((rows[inside] - moments[0]) / PERIOD).astype(int)
         assert volts[where] == pytest.approx(u_dc[inside], abs=1e-9)
     between = rows[(rows > first[0][-1]) & (rows < second[0][0])]
-    assert len(between) > 5, "telemetry goes on while a burst is read"
+    assert len(between) > 5, "telemetry continues while a burst is read"
     assert np.rint(np.diff(rows) / PERIOD).astype(int).min() >= SLOW_PERIODS
     assert [text.split()[1] for _, text in read_texts(file, "/log/scope")] == ["1", "2"]
 

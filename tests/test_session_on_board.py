@@ -23,6 +23,7 @@ class CountingClient(Client):
     """Client that counts the texts that it reads, and can receive one inverted bit."""
 
     texts = 0  # number of texts whose length was requested
+    addresses: tuple[int, ...] = ()  # addresses of the reads
     inverted = -1  # address of the byte that is received with its lowest bit inverted
 
     def string_length(self, address: int) -> int:
@@ -30,6 +31,7 @@ class CountingClient(Client):
         return super().string_length(address)
 
     def read_memory(self, address: int, size: int) -> bytes:
+        self.addresses += (address,)
         data = bytearray(super().read_memory(address, size))
         if address <= self.inverted < address + size:
             data[self.inverted - address] ^= 1
@@ -52,9 +54,10 @@ def targets(session: Session) -> dict[str, TargetVariable]:
     return {name: variable.target for name, variable in session.variables.items()}
 
 
-def test_names_are_not_read_from_a_board_with_the_same_catalogue(client: CountingClient) -> None:
+def test_names_are_not_read_from_a_board_with_the_same_catalogue(client: CountingClient, sim: LineSimulation) -> None:
     session = connect(client, CATALOGUE)
     assert client.texts == 0
+    assert client.addresses.count(sim.board.address("catalogue_hash")) == 1
     assert session.mismatch is None
     client.inverted = TABLES_BASE + 16 * (len(ROWS) - 1)  # the address of the name of the last row is wrong
     named = targets(connect(client, CATALOGUE))

@@ -21,7 +21,7 @@ from servo_twin.simulation import enable
 
 TICK_NS: Final = SLOW_PERIODS * PERIOD_NS
 BAUDS: Final = (300_000, 2_000_000)
-"""A rate at which the background reads bytes, too, and the highest rate: the FIFO is full after 20 us."""
+"""A rate at which the background also reads bytes, and the highest rate: the FIFO is full after 20 us."""
 SPEED: Final = 20_000_000  # raw number of 5 rad/s
 SLOTS: Final = ("tick", "axis1.position", "axis1.i_q", "axis1.u_q", "axis2.position", "axis2.i_q", "axis2.u_q", "tick")
 """Slots of the scope: values that change at each slow tick, and the tick before and after them."""
@@ -81,7 +81,7 @@ def test_set_points_of_both_axes_take_effect_in_the_same_tick(board: Board, wait
             on_the_way = sign * log[f"{axis}.speed_ref"]
             assert 0 <= on_the_way.min() <= on_the_way.max() <= SPEED, f"instant {k}: neither the old nor the new one"
         assert log["applied_tick"][rows[0]] == log["tick"][rows[0]], f"instant {k}: not in the stated tick"
-        assert np.unique(log["applied_count"]).size <= 2 + waiting, f"instant {k}: taken twice"
+        assert np.unique(log["applied_count"]).size <= 2 + waiting, f"instant {k}: applied twice"
         board.run(0.01)
 
 

@@ -140,7 +140,7 @@ def test_no_byte_is_lost_during_an_erase(level: Level) -> None:
         assert board.read("point_refusal") == 0
         board.run(0.01)
         assert board.serial_out()[:1] == b"+"
-        assert board.read("point_refusal") != 0, "points full of zeros are refused, but have been seen"
+        assert board.read("point_refusal") != 0, "points with zeros only are refused, but have been received"
         assert board.read("receiver_overruns") == 0
 
 
@@ -240,7 +240,7 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
             user.until(lambda: abs(user.position_of(0) - 30.0) < 0.01, 20.0, "not there")
             residuals = [message.position for message in user.messages["/twin/residual"][start:]]
             assert len(residuals) > 20
-            assert float(np.abs(residuals).max()) < 0.05, "another gain would be apart by more than half a radian"
+            assert float(np.abs(residuals).max()) < 0.05, "another gain would differ by more than half a radian"
             rows = [row["axis1.speed"] for row in user.rows() if "axis1.speed" in row]
             assert 55.0 < max(rows) < 65.0
 

@@ -171,11 +171,11 @@ def test_another_motor_is_configured_without_a_compiler(tmp_path: Path) -> None:
         peak = [0, 0]
         for _ in range(60):
             board.run(0.05)
-            way = [bench.raw(f"axis{k}.position")[0] - start[k - 1] for k in (1, 2)]
-            peak = [max(peak[0], way[0]), max(peak[1], -way[1])]
+            distances = [bench.raw(f"axis{k}.position")[0] - start[k - 1] for k in (1, 2)]
+            peak = [max(peak[0], distances[0]), max(peak[1], -distances[1])]
         assert [board.read(f"axis{k}.faults") for k in (1, 2)] == [0, 0]
         assert peak == pytest.approx([MOVE, MOVE], abs=3)
-        assert way == pytest.approx([MOVE, -MOVE], abs=3)
+        assert distances == pytest.approx([MOVE, -MOVE], abs=3)
 
 
 def test_no_loop_is_late_when_both_axes_take_blocks(tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_gains_change_in_motion_without_a_step(tmp_path: Path, what: str) -> Non
         assert bench.tool("tune", file) == 0
         tick = bench.raw("config.taken_tick")[0]
         line.advance(board.time_ns + 100_000_000)
-        assert (bench.raw("axis1.limits"), bench.raw("axis1.faults")) == ([0], [0]), "free to move"
+        assert (bench.raw("axis1.limits"), bench.raw("axis1.faults")) == ([0], [0]), "the shafts can move"
         for column, name in enumerate(("i_q", "u_q")):
             seen = line.around(tick, 320)[:, column]
             before, after = seen[:320], seen[320:]

@@ -92,7 +92,7 @@ def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: P
     assert "axis1 and axis2 applied at tick" in message
     new = blocks_of_file(tuner.until_published(2), catalogue)
     assert new == blocks_of_file(gains.read_text(encoding="utf-8"), catalogue) != built_in
-    assert user.position_of(0) < FAR - 1000.0, "still on its way"
+    assert user.position_of(0) < FAR - 1000.0, "still moving"
     (take,) = [command for command in user.applied() if command.variable == "config.take"]
     assert message.endswith(f"tick {take.tick}")
     assert take.raw == (*new[0], *new[1])
@@ -102,4 +102,4 @@ def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: P
     comparison = user.status("twin/servo_twin: comparison")
     assert comparison.message == "healthy"
     figures = {value.key: value.value for value in comparison.values}
-    assert figures["synchronisations"] == "1", "the twin has taken the blocks at their tick"
+    assert figures["synchronisations"] == "1", "the twin has applied the blocks at their tick"

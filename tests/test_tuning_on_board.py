@@ -95,7 +95,7 @@ def transfer(time: NDArray[np.float64], output: NDArray[np.float64], input_: NDA
         (1, 1.0, True, 8.0, 0.2, 10.0),
     ],
 )
-def test_closed_speed_loop(
+def test_closed_speed_loop_agrees_with_the_prediction(
     axes: list[Tuned], axis: int, inertia: float, observed: bool, amplitude: float, gain: float, phase: float
 ) -> None:
     part = multi_sine_response(shaft_with(axis, inertia), axis, amplitude, observed)
@@ -119,7 +119,7 @@ def critical_inertia(it: Tuned) -> float:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_stability_limit_of_the_speed_loop(axes: list[Tuned], axis: int) -> None:
+def test_stability_limit_of_the_speed_loop_agrees_with_the_prediction(axes: list[Tuned], axis: int) -> None:
     """At constant speed the loop is stable slightly above the critical inertia, and oscillates slightly below it."""
     critical = critical_inertia(axes[axis])
     swings = []
@@ -135,7 +135,7 @@ def test_stability_limit_of_the_speed_loop(axes: list[Tuned], axis: int) -> None
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_load_step_in_motion(axes: list[Tuned], axis: int) -> None:
+def test_deflection_by_a_load_step_in_motion_agrees_with_the_prediction(axes: list[Tuned], axis: int) -> None:
     """During a position ramp the deflection by a load step of a quarter of the rated torque is as predicted."""
     it = axes[axis]
     torque = 0.25 * it.axis.torque_constant * it.axis("motor.rated_current")
@@ -166,7 +166,7 @@ def test_load_step_in_motion(axes: list[Tuned], axis: int) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_current_step_of_a_blocked_shaft(axes: list[Tuned], axis: int) -> None:
+def test_current_step_of_a_blocked_shaft_agrees_with_the_prediction(axes: list[Tuned], axis: int) -> None:
     """From 1 A to 2 A, at the samples of the fast loop."""
     it = axes[axis]
     with spinning(PlantConfig.load(), SEED) as board:

@@ -1,4 +1,4 @@
-/* login.h - password hashes of the configuration, and entropy source of the salts. */
+/* login.h - password hashes of the configuration, and nonce of a challenge; comm/access.h checks the passwords. */
 #ifndef SERVO_APP_LOGIN_H
 #define SERVO_APP_LOGIN_H
 

@@ -14,7 +14,8 @@
 #define REPLACE_BIT UINT32_C(0x20000000)
 #define RESERVED_BITS UINT32_C(0xC0000000)
 #define POINT_BYTES (4U * POINT_WORDS)
-/* PWM periods: a point is queued before the next slow tick and used in the slow tick after it */
+/* PWM periods after the snapshot: a point queued before +8 is used from +16 on, in a segment that begins at +8 and
+ * takes HERMITE_DURATION_MIN (16) or longer */
 #define LEAD UINT32_C(24)
 
 typedef struct {
@@ -102,7 +103,7 @@ static point_refusal_t check_point(const axis_t *axis, const record_t *record, p
     const uint32_t duration = point->tick - place->tick;
     const hermite_state_t to = {trajectory_position(point, place->state.position),
                                 path_step_of(axis->config, point->speed)};
-    const path_position_t way = to.position - place->state.position;
+    const path_position_t distance = to.position - place->state.position;
     hermite_t segment;
     if ((int32_t)(point->tick - now) < (int32_t)LEAD) {
         return POINT_REFUSAL_PAST;
@@ -113,7 +114,7 @@ static point_refusal_t check_point(const axis_t *axis, const record_t *record, p
     if (duration < HERMITE_DURATION_MIN || duration > HERMITE_DURATION_MAX) {
         return POINT_REFUSAL_DURATION;
     }
-    if (way > HERMITE_DISTANCE_MAX || way < -HERMITE_DISTANCE_MAX) {
+    if (distance > HERMITE_DISTANCE_MAX || distance < -HERMITE_DISTANCE_MAX) {
         return POINT_REFUSAL_SPEED;
     }
     hermite_set(&segment, place->state, to, duration);
@@ -128,7 +129,7 @@ point_refusal_t points_check(const points_board_t *board, const uint8_t *data, u
 {
     place_t places[HAL_AXES];
     bool begun[HAL_AXES] = {false};
-    if (board->full) {
+    if (board->pending) {
         return POINT_REFUSAL_BUSY;
     }
     if (size == 0U || size % POINT_BYTES != 0U) {

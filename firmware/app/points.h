@@ -9,7 +9,7 @@
 typedef struct {
     const axis_t *axes;
     const snapshot_t *snapshot;
-    bool full; /* the points of the previous write are not queued yet */
+    bool pending; /* the points of the previous write are not queued yet */
 } points_board_t;
 
 /* Check points of POINT_WORDS words of four bytes; POINT_REFUSAL_NONE: accepted. Each segment must be within the

@@ -19,8 +19,8 @@ static void lock(void *context, bool on)
     servo->locked = on;
 }
 
-/* Masks the interrupts through the server's function pointer: the compiler cannot inline the call, so it cannot move
- * the protected accesses out of the section. */
+/* Locks through the server's function pointer: the compiler cannot inline the call, so it cannot move the protected
+ * accesses out of the section. */
 static void server_lock(servo_t *servo, bool on) { servo->freemaster.app.lock(servo, on); }
 
 static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint16_t size)
@@ -127,7 +127,7 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     (void)args;
     (void)size;
     *result_size = 0;
-    /* Every client may stop an axis. Commands that re-arm it or count as keep-alive need the right to write. */
+    /* Any client may stop both axes. CLEAR_FAULTS and KEEP_ALIVE need the level *command*. */
     if ((code == COMMAND_CLEAR_FAULTS || code == COMMAND_KEEP_ALIVE) &&
         freemaster_level(&servo->freemaster) < ACCESS_COMMAND) {
         return RESULT_LEVEL;
@@ -170,7 +170,7 @@ void servo_host_init(servo_t *servo)
         .name = "servo",
         .description = "dual-axis PMSM servo",
         .version = "servo FreeMASTER 4",
-        .build = "reproducible",
+        .build = "reproducible", /* no date: equal sources give equal images */
         .lock = lock,
         .accepts = accepts,
         .written = written,

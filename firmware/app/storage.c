@@ -25,7 +25,7 @@ static uint16_t copy_rank(uint16_t copy)
 }
 
 /* Examine both copies and keep the better one, or the newer one of two equal ones. */
-static void look(storage_t *storage, storage_status_t *status, const storage_board_t *board)
+static void examine_copies(storage_t *storage, storage_status_t *status, const storage_board_t *board)
 {
     uint32_t sequence[STORAGE_COPIES];
     storage->kept = NO_COPY;
@@ -53,7 +53,7 @@ void storage_begin(storage_t *storage, storage_status_t *status, const storage_b
     if (!hal_flash_present(board->hal)) {
         return;
     }
-    look(storage, status, board);
+    examine_copies(storage, status, board);
     for (uint16_t i = 0; i < STORAGE_COPIES; i++) {
         if (status->copy[i] != STORED_COPY_EMPTY && status->copy[i] != STORED_COPY_INTACT) {
             event_log_copy(board->event_log, i, status->copy[i]);
@@ -128,8 +128,8 @@ bool storage_accept(storage_t *storage, storage_status_t *status, const storage_
 
 /* ---- commands of the flash ------------------------------------------------------------------------------------------ */
 
-/* Number of flash commands: a save erases the sectors of its copy and programs its words; a return to the built-in
- * values erases the sectors of both copies, one copy at a time. */
+/* Number of flash commands for the copy in progress: a save erases its sectors and programs its words; a return to the
+ * built-in values erases the sectors of both copies, one copy at a time. */
 static uint16_t steps(const storage_t *storage)
 {
     return (uint16_t)((storage->kind == STORAGE_REQUEST_SAVE) ? STORED_SECTORS + STORED_WORDS : STORED_SECTORS);
@@ -185,7 +185,7 @@ static bool is_done(const storage_t *storage, const storage_board_t *board)
 static void finish(storage_t *storage, storage_status_t *status, const storage_board_t *board,
                    storage_refusal_t refusal)
 {
-    look(storage, status, board);
+    examine_copies(storage, status, board);
     status->refusal = (uint16_t)refusal;
     status->answered = storage->token;
     status->state = STORAGE_STATE_IDLE;

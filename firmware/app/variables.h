@@ -4,7 +4,8 @@
 
 #include "comm/tsa.h"
 
-/* Raw range of the elements of a writable variable of servo_t, signed or unsigned. */
+/* Raw range of the elements of a writable variable of servo_t. It is compared modulo the size of an element, so that it
+ * applies to signed and unsigned numbers. */
 typedef struct {
     uint16_t offset; /* offset in servo_t [bytes] */
     uint16_t size; /* size of an element [bytes]: 2 or 4 */

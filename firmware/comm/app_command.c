@@ -27,7 +27,7 @@ uint8_t app_command_send(app_command_t *command, payload_reader_t *request)
     if (code == APP_COMMAND_NONE) {
         return FM_UNKNOWN_COMMAND; /* the vendor's server accepts FF, and that command then stays pending */
     }
-    const uint16_t size = request->left;
+    const uint16_t size = request->remaining;
     if (size > APP_COMMAND_ARGUMENTS_MAX) {
         return FM_BAD_INDEX;
     }

@@ -33,7 +33,8 @@ static frame_event_t take_length(frame_receiver_t *receiver, uint8_t length)
 {
     receiver->want_length = false;
     receiver->crc = crc8_add(receiver->crc, length);
-    receiver->todo = (uint8_t)(length + 1u); /* command FF is dropped without an answer, as by the vendor's server */
+    /* a frame with LEN = FF is discarded without an answer, as by the vendor's server */
+    receiver->todo = (uint8_t)(length + 1u);
     return receiver->todo == 0 ? FRAME_ABORTED : FRAME_NOTHING;
 }
 

@@ -18,8 +18,8 @@
 
 /* ---- memory ---------------------------------------------------------------------------------------------------- */
 
-/* Interrupts are masked only while variables are copied: strings and table are constant, and the table takes long to
- * compose. */
+/* The loops stop latching and publishing only while variables are copied: strings and table are constant, and the table
+ * takes long to compose. */
 static void copy_out(freemaster_t *server, const tsa_place_t *place, uint8_t *data)
 {
     const bool live = place->region == TSA_REGION_VARIABLES;

@@ -42,7 +42,7 @@ typedef struct {
 
     access_passwords_t passwords;
 
-    /* Unpredictable number for the salt of a password. */
+    /* Number for the salt of a password; differs for each call. */
     uint32_t (*nonce)(void *context);
 
     /* Access level required to write `size` bytes at `offset`: ACCESS_COMMAND or ACCESS_TUNE. */

@@ -8,14 +8,14 @@
 
 const uint8_t *payload_take(payload_reader_t *reader, uint32_t size)
 {
-    if (size > reader->left) {
+    if (size > reader->remaining) {
         reader->missing = true;
-        reader->left = 0;
+        reader->remaining = 0;
         return NULL;
     }
     const uint8_t *data = reader->data;
     reader->data += (size_t)size;
-    reader->left = (uint16_t)(reader->left - size);
+    reader->remaining = (uint16_t)(reader->remaining - size);
     return data;
 }
 
@@ -28,26 +28,26 @@ uint8_t payload_get_u8(payload_reader_t *reader)
 /* Advance by a number that took `used` bytes; 0 means that the payload ended within the number. */
 static void step(payload_reader_t *reader, uint16_t used)
 {
-    (void)payload_take(reader, used != 0 ? (uint32_t)used : (uint32_t)reader->left + 1u);
+    (void)payload_take(reader, used != 0 ? (uint32_t)used : (uint32_t)reader->remaining + 1u);
 }
 
 uint32_t payload_get_unsigned(payload_reader_t *reader)
 {
     uint32_t value = 0;
-    step(reader, leb128_get_unsigned(reader->data, reader->left, &value));
+    step(reader, leb128_get_unsigned(reader->data, reader->remaining, &value));
     return value;
 }
 
 int32_t payload_get_signed(payload_reader_t *reader)
 {
     int32_t value = 0;
-    step(reader, leb128_get_signed(reader->data, reader->left, &value));
+    step(reader, leb128_get_signed(reader->data, reader->remaining, &value));
     return value;
 }
 
 bool payload_next_operation(payload_reader_t *list, payload_operation_t *operation)
 {
-    if (list->left < OPERATION_HEAD) {
+    if (list->remaining < OPERATION_HEAD) {
         return false;
     }
     operation->code = payload_get_u8(list);

@@ -11,7 +11,7 @@
 
 typedef struct {
     const uint8_t *data; /* next byte */
-    uint16_t left; /* received bytes not yet read */
+    uint16_t remaining; /* received bytes not yet read */
     bool missing; /* more bytes were read than received */
 } payload_reader_t;
 

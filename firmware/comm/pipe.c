@@ -46,7 +46,7 @@ uint8_t pipe_exchange(pipe_t *pipe, payload_reader_t *request, payload_writer_t 
     }
     if (((port & TOGGLE) != 0) == pipe->odd) {
         drop(pipe, received);
-        pipe->accepted = (uint8_t)request->left;
+        pipe->accepted = (uint8_t)request->remaining;
         pipe->odd = !pipe->odd;
     }
     payload_put_u8(reply, port);

@@ -34,7 +34,7 @@ void recorder_init(recorder_t *recorder, const recorder_app_t *app, recorder_mem
     recorder->memory = memory;
 }
 
-static bool complete(const payload_reader_t *operand) { return !operand->missing && operand->left == 0; }
+static bool complete(const payload_reader_t *operand) { return !operand->missing && operand->remaining == 0; }
 
 static void discard(recorder_t *recorder)
 {

@@ -67,7 +67,7 @@ typedef struct {
     uint16_t point; /* size of a point (one sample of all variables), bytes */
     uint8_t *next; /* next point */
     uint8_t *end; /* end of the last point */
-    uint16_t left; /* remaining points after a trigger */
+    uint16_t remaining; /* remaining points after a trigger */
     uint16_t after; /* number of points after a trigger */
     recorder_slot_t *const *trigger_end;
     recorder_slot_t *trigger[RECORDER_SLOTS];

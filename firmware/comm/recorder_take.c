@@ -61,7 +61,7 @@ static void judge(recorder_sampling_t *sampling)
             (slot->mode & (above ? RECORDER_MODE_ABOVE : RECORDER_MODE_BELOW)) != 0) {
             sampling->armed = false;
             sampling->stopping = true;
-            sampling->left = sampling->after;
+            sampling->remaining = sampling->after;
         }
     } while (trigger != sampling->trigger_end);
 }
@@ -107,10 +107,10 @@ void recorder_take(recorder_t *recorder)
     }
     sampling->next = next;
     if (sampling->stopping) {
-        if (sampling->left == 0) {
+        if (sampling->remaining == 0) {
             recorder->running = false;
         } else {
-            sampling->left--;
+            sampling->remaining--;
         }
     }
 }

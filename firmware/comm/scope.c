@@ -40,7 +40,7 @@ static uint8_t run_slot(scope_t *scope, const tsa_space_t *space, payload_reader
     }
     const uint32_t address = payload_get_unsigned(operand);
     const uint8_t size = payload_get_u8(operand);
-    if (operand->missing || operand->left != 0 || !is_variable_size(size)) {
+    if (operand->missing || operand->remaining != 0 || !is_variable_size(size)) {
         return FM_BAD_SIZE;
     }
     return tsa_readable(space, address, size, &scope->slot[slot]) ? FM_OK : FM_DENIED;

@@ -35,13 +35,13 @@ static path_position_t magnitude(path_position_t x) { return (x < 0) ? -x : x; }
 
 void hermite_set(hermite_t *segment, hermite_state_t from, hermite_state_t to, uint32_t duration)
 {
-    const path_position_t way = to.position - from.position;
+    const path_position_t distance = to.position - from.position;
     const path_position_t begin = asr64(from.step * (int64_t)duration, PERIODS_BITS);
     const path_position_t end = asr64(to.step * (int64_t)duration, PERIODS_BITS);
     segment->origin = from.position;
     segment->c1 = begin;
-    segment->c2 = 3 * way - 2 * begin - end;
-    segment->c3 = begin + end - 2 * way;
+    segment->c2 = 3 * distance - 2 * begin - end;
+    segment->c3 = begin + end - 2 * distance;
     segment->duration = duration;
     segment->shift = normalisation(duration);
     segment->reciprocal = reciprocal_of(duration << segment->shift);

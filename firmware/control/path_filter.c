@@ -69,9 +69,9 @@ void path_filter_reset(path_filter_t *path, int32_t position, path_position_t st
 
 void path_filter_start_braking(path_filter_t *path, int32_t target, path_position_t acceleration, uint16_t omega_n_ts)
 {
-    const int32_t way = (path->speed < 0) ? -1 : 1;
-    const path_position_t speed = way * path->speed;
-    const path_position_t room = -way * path_beyond(path->ramp, target);
+    const int32_t sign = (path->speed < 0) ? -1 : 1;
+    const path_position_t speed = sign * path->speed;
+    const path_position_t room = -sign * path_beyond(path->ramp, target);
     if (speed == 0 || safe_speed(room, acceleration, speed) >= speed - acceleration) {
         return;
     }
@@ -79,26 +79,26 @@ void path_filter_start_braking(path_filter_t *path, int32_t target, path_positio
      * omega_n^2. */
     const path_position_t slower = lower(acceleration, scaled(speed, omega_n_ts) >> 1);
     const path_position_t over_omega = i64_over_u16(slower * 65536, omega_n_ts);
-    path->speed = way * (speed - lower(speed, slower + 2 * over_omega));
-    path->ramp = path->output + 2 * path->filter - way * i64_over_u16(over_omega * 65536, omega_n_ts) - path->speed;
+    path->speed = sign * (speed - lower(speed, slower + 2 * over_omega));
+    path->ramp = path->output + 2 * path->filter - sign * i64_over_u16(over_omega * 65536, omega_n_ts) - path->speed;
 }
 
 /* Keep the ramp from passing `target`, and slow enough to stop there, if both held for `before`. */
 static void stop_at(path_filter_t *path, int32_t target, path_position_t acceleration, path_filter_t before)
 {
-    const int32_t way = (path->ramp < path->output) ? -1 : 1;
-    const path_position_t speed = way * before.speed;
-    const path_position_t distance = speed - way * path_beyond(before.ramp, target);
+    const int32_t sign = (path->ramp < path->output) ? -1 : 1;
+    const path_position_t speed = sign * before.speed;
+    const path_position_t distance = speed - sign * path_beyond(before.ramp, target);
     /* A ramp that has not yet reversed keeps its lead. */
     if (distance < speed || (speed > 0 && safe_speed(distance, acceleration, speed) < speed - acceleration)) {
         return;
     }
     const path_position_t beyond = path_beyond(path->ramp, target);
-    if (way * beyond > 0) {
+    if (sign * beyond > 0) {
         path->ramp -= beyond;
         path->speed = 0;
-    } else if (way * path->speed > 0) {
-        path->speed = way * safe_speed(-way * beyond, acceleration, way * path->speed);
+    } else if (sign * path->speed > 0) {
+        path->speed = sign * safe_speed(-sign * beyond, acceleration, sign * path->speed);
     }
 }
 
@@ -151,6 +151,6 @@ int32_t path_filter_stopping_position(const path_filter_t *path, path_position_t
         divisor >>= 1;
         shift++;
     }
-    const path_position_t way = asr64(i64_over_u16(root * root, (uint16_t)divisor), shift);
-    return (path->speed < 0) ? path_whole(path->ramp - way) : path_whole(path->ramp + way + up);
+    const path_position_t distance = asr64(i64_over_u16(root * root, (uint16_t)divisor), shift);
+    return (path->speed < 0) ? path_whole(path->ramp - distance) : path_whole(path->ramp + distance + up);
 }

@@ -43,10 +43,10 @@ static bool contradicts(const angle_monitor_t *m, const winding_config_t *config
 {
     const int32_t size = o->current_magnitude;
     const int32_t emf = i32_abs(o->emf);
-    const int32_t turned = i32_gain(asr32(i32_abs(o->omega_e) * size, 15), loop->omega_l_q);
+    const int32_t inductive = i32_gain(asr32(i32_abs(o->omega_e) * size, 15), loop->omega_l_q);
     const bool certain = size >= 2 * (int32_t)config->current_min;
     const int32_t lost = certain ? config->emf_floor / 4 : 2 * (int32_t)config->emf_floor;
-    const int32_t known = sat16(lost + turned / 4 + i32_gain(o->current_change, config->inductance) + emf / 2);
+    const int32_t known = sat16(lost + inductive / 4 + i32_gain(o->current_change, config->inductance) + emf / 2);
     const int32_t along = o->drop / 2;
     const int32_t length = length_about(m->unexplained_voltage.d, m->unexplained_voltage.q);
     const int32_t across = i32_abs(asr32((int32_t)m->unexplained_voltage.d * o->current.q, 1) -

@@ -196,7 +196,7 @@ static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const
     }
 }
 
-/* A step of the set-point needs voltage beyond that, through the current controllers' gain. */
+/* True if a step of the set-point demands a voltage above `emf_floor` through the proportional gain. */
 static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o)
 {
     const int32_t step = f16_abs(f16_sub(o->current_ref.q, m->last_i_q_ref));

@@ -25,7 +25,7 @@ PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_COUNT_CONTRADICTS_INDEX] = {FAULT_ENCODER, 0, 0}, /* encoder count wrapped without an index pulse */
     [FINDING_HOST_SILENT] = {FAULT_HOST_SILENT, 0, 0}, /* no command within param.host_timeout, or, with the feature STARVED, no trajectory point in time */
     [FINDING_SHAFT_BLOCKED] = {FAULT_STALLED, 0, 0}, /* no movement at full current; the test vector found no free rotor */
-    [FINDING_RUNAWAY] = {FAULT_RUNAWAY, CURRENT_SENSE | PHASE | ANGLE, 0}, /* speed rises against full current, or exceeds the limit */
+    [FINDING_RUNAWAY] = {FAULT_RUNAWAY, CURRENT_SENSE | PHASE | ANGLE, 0}, /* speed rises against full current, or rises further beyond the limit */
     [FINDING_SINGLE_CHANNEL_TOGGLE] = {FAULT_ENCODER_LOST, 0, 0}, /* count alternates by one, faster than a shaft at rest can dither */
     [FINDING_SHORT_CURRENT_WITHOUT_COUNT] = {FAULT_ENCODER_LOST, 0, 0}, /* READY: current in the shorted windings, encoder count constant */
     [FINDING_EMF_WITHOUT_COUNT] = {FAULT_ENCODER_LOST, CURRENT_SENSE | PHASE, 0}, /* voltage rotates like a back-EMF, encoder count constant */
@@ -69,8 +69,8 @@ PROGRAM_TABLE fault_cause_t fault_causes[FAULT_CAUSES] = {
      FAULT_PHASE_LOST | FAULT_SPEED_FEEDBACK | FAULT_START_UP)
 
 /* Causes that are detected after their consequence. `within` [PWM periods]: a converter that repeats its code is
- * detected within 128 ms; late loops are counted once per slow tick, the over-current that they cause trips
- * immediately. */
+ * detected within 128 ms; late loops that the port detects are counted once per slow tick, the over-current that they
+ * cause trips immediately. */
 PROGRAM_TABLE fault_revision_rule_t fault_revisions[FAULT_REVISIONS] = {
     {FAULT_CURRENT_SENSE, 2048, CURRENT_DERIVED_FAULTS | FAULT_OVER_CURRENT, CURRENT_DERIVED_FAULTS}, /* current feedback invalid; faults derived from it are void */
     {FAULT_LATE_LOOP, 16, FAULT_OVER_CURRENT, 0}, /* duty cycles were frozen while the shaft turned on */

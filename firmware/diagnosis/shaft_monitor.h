@@ -25,7 +25,7 @@ typedef struct {
 static inline uint16_t shaft_count_while(bool holds, uint16_t ticks) { return holds ? (uint16_t)(ticks + 1U) : 0U; }
 
 /* Runaway: the speed rises although it must fall, because the full current decelerates the shaft or the speed
- * exceeds its limit. Cause: a wrong encoder angle reverses the torque. */
+ * exceeds its limit. Cause: a wrong encoder angle, which reverses the torque, or a load stronger than the drive. */
 static inline bool shaft_runaway(shaft_monitor_t *m, const shaft_monitor_config_t *config, const shaft_observation_t *o)
 {
     /* uint32_t holds the sum of two positive Q1.31 numbers */

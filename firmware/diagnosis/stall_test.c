@@ -1,6 +1,6 @@
 #include "diagnosis/stall_test.h"
 
-#define GOES_ON_OVER_MOVE 8 /* further movement, in multiples of the detection threshold, that proves a free shaft */
+#define FURTHER_OVER_MOVE 8 /* further movement, in multiples of the detection threshold, that proves a free shaft */
 #define STOPS_TICKS 16U /* after this time a shaft without torque has stopped; half of it is enough to decelerate */
 #define TURNS_OVER_MOVE 2 /* movement back from the farthest position: larger than a bounce */
 
@@ -38,20 +38,20 @@ void stall_test_add(stall_test_t *test, const rotor_search_config_t *config, fra
 }
 
 /* Movement in the direction of the commanded torque. */
-static int32_t way_from(const stall_test_t *test, int32_t origin, int32_t position)
+static int32_t movement_from(const stall_test_t *test, int32_t origin, int32_t position)
 {
-    const int32_t way = i32_sub_wrap(position, origin);
-    return test->positive_torque ? way : -way;
+    const int32_t movement = i32_sub_wrap(position, origin);
+    return test->positive_torque ? movement : -movement;
 }
 
 /* The vector is being rotated; the shaft has not moved yet. */
 static finding_set_t turn_step(stall_test_t *test, const rotor_search_config_t *config, int32_t position)
 {
     const rotor_follow_config_t follow = follow_of(test, config);
-    const int32_t way = way_from(test, test->origin, position);
-    if (i32_abs(way) >= (int32_t)config->move_counts) {
+    const int32_t movement = movement_from(test, test->origin, position);
+    if (i32_abs(movement) >= (int32_t)config->move_counts) {
         test->mirrored = true;
-        test->with_torque = way > 0;
+        test->with_torque = movement > 0;
         test->phi = f16_neg(test->phi);
         test->ticks = 0;
         test->farthest = position;
@@ -87,14 +87,14 @@ static finding_set_t mirrored_step(stall_test_t *test, const rotor_search_config
 {
     const int32_t move_min = config->move_counts;
     const int32_t sign = test->with_torque ? 1 : -1;
-    const int32_t way = sign * way_from(test, test->origin, position);
-    const int32_t back = -sign * way_from(test, test->farthest, position);
+    const int32_t movement = sign * movement_from(test, test->origin, position);
+    const int32_t back = -sign * movement_from(test, test->farthest, position);
     test->farthest = (back < 0) ? position : test->farthest;
     test->ticks++;
     if (test->ticks == STOPS_TICKS / 2U && test->with_torque) {
         test->origin = test->farthest;
     }
-    if (way >= GOES_ON_OVER_MOVE * move_min) {
+    if (movement >= FURTHER_OVER_MOVE * move_min) {
         return FOUND(FINDING_SHAFT_BLOCKED);
     }
     if (back >= TURNS_OVER_MOVE * move_min) {
@@ -104,7 +104,7 @@ static finding_set_t mirrored_step(stall_test_t *test, const rotor_search_config
         return turn_outward(test, &config->follow) ? FOUND(FINDING_SHAFT_BLOCKED) : 0U;
     }
     if (test->ticks >= STOPS_TICKS) {
-        return (way >= move_min) ? FOUND(FINDING_SHAFT_BLOCKED) : FOUND(FINDING_STALL_ANGLE_MISMATCH);
+        return (movement >= move_min) ? FOUND(FINDING_SHAFT_BLOCKED) : FOUND(FINDING_STALL_ANGLE_MISMATCH);
     }
     return 0;
 }

@@ -154,7 +154,7 @@ static int32_t direction(const home_t *home)
 
 static bool active(const axis_t *axis) { return (axis->inputs & INPUT_HOME) != 0U; }
 
-static uint32_t way_max(const axis_t *axis)
+static uint32_t distance_max(const axis_t *axis)
 {
     const home_config_t *config = &axis->config->home;
     return approaches(axis->home.leg) ? (uint32_t)config->turns_max * axis->config->encoder.counts : config->back_off;
@@ -165,7 +165,7 @@ static uint16_t time_for(const axis_t *axis, frac32_t speed)
 {
     const path_position_t step = path_step_of(axis->config, speed);
     const uint32_t per_unit = (uint32_t)asr64(step * (path_position_t)TIMEOUT_UNIT, PATH_BITS);
-    const uint32_t units = 2U * way_max(axis) / ((per_unit != 0U) ? per_unit : 1U) + TIMEOUT_MIN;
+    const uint32_t units = 2U * distance_max(axis) / ((per_unit != 0U) ? per_unit : 1U) + TIMEOUT_MIN;
     return (units < UINT16_MAX) ? (uint16_t)units : UINT16_MAX;
 }
 
@@ -234,7 +234,7 @@ static bool at_limit_switch(const axis_t *axis)
     return (axis->inputs & ahead) != 0U;
 }
 
-static home_result_t approach(axis_t *axis, int32_t way)
+static home_result_t approach(axis_t *axis, int32_t distance)
 {
     home_t *home = &axis->home;
     if (at_limit_switch(axis)) {
@@ -252,10 +252,11 @@ static home_result_t approach(axis_t *axis, int32_t way)
     if (still) {
         return HOME_RESULT_BLOCKED;
     }
-    return ((uint32_t)((way < 0) ? -way : way) > way_max(axis)) ? HOME_RESULT_NOT_FOUND : HOME_RESULT_RUNNING;
+    return ((uint32_t)((distance < 0) ? -distance : distance) > distance_max(axis)) ? HOME_RESULT_NOT_FOUND
+                                                                                    : HOME_RESULT_RUNNING;
 }
 
-static home_result_t back_off(axis_t *axis, int32_t way)
+static home_result_t back_off(axis_t *axis, int32_t distance)
 {
     home_t *home = &axis->home;
     if (at_limit_switch(axis) || stands(axis)) {
@@ -263,7 +264,7 @@ static home_result_t back_off(axis_t *axis, int32_t way)
     }
     if (by_switch(home) && active(axis)) {
         home->origin = axis->feedback.position; /* the back-off distance counts from the edge of the switch */
-    } else if (-direction(home) * way >= (int32_t)axis->config->home.back_off) {
+    } else if (-direction(home) * distance >= (int32_t)axis->config->home.back_off) {
         if (home->leg == LEG_LAST) {
             home->leg = LEG_SETTLE;
             motion_rest(axis);
@@ -285,8 +286,8 @@ static bool out_of_time(axis_t *axis)
 static void run_leg(axis_t *axis)
 {
     const home_t *home = &axis->home;
-    const int32_t way = i32_sub_wrap(axis->feedback.position, home->origin);
-    home_result_t result = approaches(home->leg) ? approach(axis, way) : back_off(axis, way);
+    const int32_t distance = i32_sub_wrap(axis->feedback.position, home->origin);
+    home_result_t result = approaches(home->leg) ? approach(axis, distance) : back_off(axis, distance);
     if (result == HOME_RESULT_RUNNING && out_of_time(axis)) {
         result = HOME_RESULT_TIMEOUT;
     }

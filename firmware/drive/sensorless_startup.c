@@ -10,7 +10,7 @@
 #define PROVE_TICKS 72 /* slow ticks: rise of the current plus 64 speed samples */
 #define RATIO_BITS 14
 
-static frac32_t turned(frac32_t speed, bool backwards) { return backwards ? -speed : speed; }
+static frac32_t with_sign(frac32_t speed, bool backwards) { return backwards ? -speed : speed; }
 
 static void enter(startup_t *startup, startup_phase_t phase)
 {
@@ -202,7 +202,7 @@ static void ramp(axis_t *axis)
     startup->speed += f32_clip(config->final_speed - startup->speed, config->speed_step);
     const frac32_t missing = f32_from_f16(config->final_current) - startup->current;
     startup->current += f32_clip(missing, f32_abs(config->current_step));
-    const frac32_t speed = turned(startup->speed, startup->backwards);
+    const frac32_t speed = with_sign(startup->speed, startup->backwards);
     startup->step = pll_step_of(&axis->config->pll, speed);
     lock(axis, before);
     current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(speed));
@@ -215,7 +215,7 @@ static bool converged(const axis_t *axis)
 {
     const startup_config_t *config = &axis->config->startup;
     const frac32_t forced = axis->startup.speed;
-    const frac32_t mean = turned(speed_reliability_mean(&axis->estimate.reliability), axis->startup.backwards);
+    const frac32_t mean = with_sign(speed_reliability_mean(&axis->estimate.reliability), axis->startup.backwards);
     const int64_t ratio = (int64_t)mean * (INT32_C(1) << RATIO_BITS);
     return seen(axis) && axis->estimate.reliable && ratio >= (int64_t)forced * config->mean_min &&
            ratio <= (int64_t)forced * config->mean_max;

@@ -23,8 +23,8 @@ typedef enum {
 #define AWAY_OVER_MOVE 8 /* small rotation, in multiples of the detection threshold */
 /* Loss of control: half a turn away from the original position, or an eighth after the shaft has been caught; 2^32 is a
  * turn. */
-#define ASTRAY (INT64_C(1) << 31)
-#define ASTRAY_CAUGHT (INT64_C(1) << 29)
+#define DISPLACEMENT_MAX (INT64_C(1) << 31)
+#define DISPLACEMENT_MAX_CAUGHT (INT64_C(1) << 29)
 #define SOLVE_BITS 12
 
 void rotor_hold_start(rotor_search_t *search, const rotor_search_config_t *config, int32_t position,
@@ -50,22 +50,22 @@ bool rotor_hold_opens_brake(const rotor_search_t *search)
 
 static frac16_t upper(uint32_t angle) { return (frac16_t)(uint16_t)(angle >> 16); }
 
-/* phi_1 of sin(phi_1 + turned) = 2 sin(phi_1); the end of the range for a load above the largest torque. */
-static frac16_t lead(frac16_t turned)
+/* phi_1 of sin(phi_1 + rotation) = 2 sin(phi_1); the end of the range for a load above the largest torque. */
+static frac16_t lead(frac16_t rotation)
 {
-    const frac16_t size = f16_abs(turned);
+    const frac16_t size = f16_abs(rotation);
     int32_t angle = 0;
     for (int32_t step = INT32_C(1) << SOLVE_BITS; step != 0; step >>= 1) {
         const frac16_t next = (frac16_t)(angle + step);
         angle += (sin_cos(f16_add_wrap(next, size)).sin >= 2 * sin_cos(next).sin) ? step : 0;
     }
-    return (frac16_t)((turned < 0) ? -angle : angle);
+    return (frac16_t)((rotation < 0) ? -angle : angle);
 }
 
 static void found(rotor_search_t *search)
 {
-    const frac16_t turned = f16_sub_wrap(search->vector, search->lead_angle);
-    const frac16_t behind = f16_add_wrap(lead(turned), turned);
+    const frac16_t rotation = f16_sub_wrap(search->vector, search->lead_angle);
+    const frac16_t behind = f16_add_wrap(lead(rotation), rotation);
     const frac16_t across = sat16(sin_cos(behind).sin);
     search->vector = f16_sub_wrap(search->vector, behind);
     search->current = f32_from_f16(f16_mul(f16_from_f32(search->current), across));
@@ -87,7 +87,7 @@ static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *con
     const int32_t moved = i32_sub_wrap(position, search->last_position);
     const uint32_t per_count = (uint32_t)config->angle_per_count;
     const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, like the vector */
-    search->balance_angle -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn: see ASTRAY */
+    search->balance_angle -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn */
     const int32_t first = (moved > 0) - (moved < 0); /* less damping for this count prevents dither */
     const int32_t rate = DAMPED_PARTS * moved - (DAMPED_PARTS - 1) * first;
     const uint32_t damped = (uint32_t)(rate * (int32_t)search->damping) * (per_count / DAMPED_PARTS);
@@ -98,8 +98,8 @@ static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *con
 }
 
 /* Rotate the vector until the shaft has followed. Two states of balance are invalid: a rotor opposite to the vector,
- * held by friction alone, moves the other way, and is caught again from there; with a reversed encoder the shaft runs
- * away once the control is off. */
+ * held by friction alone, moves in the other direction, and is caught again from there; with a reversed encoder the
+ * shaft runs away once the control is off. */
 static void away(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const int32_t counts = AWAY_OVER_MOVE * (int32_t)config->move_counts;
@@ -142,9 +142,10 @@ static void reduce_hold_current(rotor_search_t *search, const rotor_search_confi
 void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const frac32_t limit = f32_from_f16(config->current_limit);
-    const int64_t way = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
-    const int64_t astray = (search->stage > (uint16_t)STAGE_CATCH) ? ASTRAY_CAUGHT : ASTRAY;
-    if (way > astray || way < -astray) {
+    const int64_t displacement = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
+    const bool caught = search->stage > (uint16_t)STAGE_CATCH;
+    const int64_t displacement_max = caught ? DISPLACEMENT_MAX_CAUGHT : DISPLACEMENT_MAX;
+    if (displacement > displacement_max || displacement < -displacement_max) {
         search->phase = ROTOR_SEARCH_NO_MOVEMENT;
         return;
     }

@@ -281,11 +281,11 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
         return;
     }
     const int32_t moved = search->direction * i32_sub_wrap(position, search->reference_position);
-    const int16_t way = (int16_t)(search->follows ? -search->direction : search->direction);
+    const int16_t sign = (int16_t)(search->follows ? -search->direction : search->direction);
     if (search->follows ? moved > 0 : moved < (int32_t)config->move_counts) {
-        if ((int32_t)way * f16_sub_wrap(search->vector, search->theta_m) < (int32_t)config->verify_angle) {
-            search->vector = f16_add_wrap(search->vector, (frac16_t)(way * (int16_t)config->verify_step));
-        } else if (way > 0 && !search->follows) {
+        if ((int32_t)sign * f16_sub_wrap(search->vector, search->theta_m) < (int32_t)config->verify_angle) {
+            search->vector = f16_add_wrap(search->vector, (frac16_t)(sign * (int16_t)config->verify_step));
+        } else if (sign > 0 && !search->follows) {
             search->direction = -1;
         } else {
             search->verify_failures++;

@@ -1,5 +1,5 @@
-/* core_probe.h - what tests cannot reach through the headers: inline functions, and loops that Python is too slow
- * for. */
+/* core_probe.h - functions for tests that are not in the headers: inline functions, and loops that would be too
+ * slow in Python. */
 #ifndef TEST_CORE_PROBE_H
 #define TEST_CORE_PROBE_H
 
@@ -38,7 +38,7 @@ frac32_t probe_pi(pi_state_t *state, const pi_gains_t *gains, frac32_t error, fr
 /* One PWM period at the electrical speed `omega_e`. */
 typedef struct {
     dq_t current; /* measured */
-    dq_t voltage; /* what was asked of the inverter */
+    dq_t voltage; /* voltage set-point of the inverter */
     svm_t modulation; /* duties and sector */
     bool limited; /* the voltage is at its limit */
 } probe_period_t;

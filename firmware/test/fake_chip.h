@@ -1,8 +1,8 @@
-/* fake_chip.h - registers that remember, and a list of every access, in order: the port without a chip.
+/* fake_chip.h - the port without a chip: registers with memory, and a list of all accesses in order.
  *
- * A read gives what was last written or set; a write goes to the list and, as far as the port relies on it, has the
- * effect of the flags: write 1 to clear in PWM STS, FSTS0 and ADC STAT, RDY cleared by reading a result, LDOK by CLDOK.
- * Entries of the application (app/servo.h) are in the list too.
+ * A read returns the last value written or set; a write is added to the list and has those effects on flags that the
+ * port uses: write 1 to clear in PWM STS, FSTS0 and ADC STAT, RDY cleared by reading a result, LDOK by CLDOK.
+ * Calls of the application (app/servo.h) are also in the list.
  */
 #ifndef FAKE_CHIP_H
 #define FAKE_CHIP_H
@@ -29,9 +29,9 @@ typedef struct chip {
     int accesses;
     uint16_t data[16]; /* bytes in the receiver */
     int data_in, data_out;
-    bool takes_edge; /* the application takes a latched edge in servo_edge_isr */
+    bool takes_edge; /* the application reads a latched edge in servo_edge_isr */
     edge_capture_t taken;
-    int slip; /* an edge comes after so many more writes to a timer */
+    int slip; /* number of writes to a timer until an edge occurs */
 } fake_chip_t;
 
 fake_chip_t *fake_new(void);

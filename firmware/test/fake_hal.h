@@ -20,7 +20,7 @@ typedef enum {
     FAKE_ENCODER_PRESET, /* value: count */
     FAKE_INDEX_COUNT,
     FAKE_CAPTURE_ARM,
-    FAKE_CAPTURE_TAKE, /* value: an edge was there */
+    FAKE_CAPTURE_TAKE, /* value: an edge was captured */
     FAKE_EDGE_AGE,
     FAKE_WATCHDOG, /* axis: 0xFFFF */
 } fake_call_t;
@@ -32,7 +32,7 @@ typedef struct {
 } fake_event_t;
 
 typedef struct {
-    /* what the firmware reads */
+    /* inputs of the firmware */
     uint16_t current_code[3]; /* per phase */
     uint16_t offset_code[3];
     uint16_t temperature_code;
@@ -41,12 +41,12 @@ typedef struct {
     uint32_t age;
     edge_capture_t edge;
     bool edge_waits;
-    bool over_current; /* as long as it lasts, the latch cannot be released */
+    bool over_current; /* while it is set, the latch cannot be released */
     bool break_latched;
     uint16_t inputs; /* HAL_INPUT_ bits */
     bool enable_used;
     bool holding_released;
-    /* what the firmware has done */
+    /* outputs of the firmware */
     phase_pair_t pair;
     int16_t duty[3];
     bool outputs_on;
@@ -74,7 +74,7 @@ struct hal {
     bool flash_absent;
     uint16_t flash_polls; /* polls for which a command is busy */
     uint16_t flash_left;  /* remaining polls of the present command */
-    uint16_t flash_commands; /* commands begun */
+    uint16_t flash_commands; /* started commands */
     uint16_t flash_reads;  /* reads during a command, which are not permitted */
     bool flash_erases;     /* the present command is an erase */
     uint16_t flash_at;     /* sector or word of the present command */

@@ -1,13 +1,13 @@
 /* The harness as a target of libFuzzer, or (FUZZ_REPLAY) as a program that runs the inputs it reads from standard input:
- * u16 size, bytes. For each it writes what the server has sent after the last step: u16 size, bytes (little endian).
+ * u16 size, bytes. For each input it writes the bytes sent after the last step: u16 size, bytes (little endian).
  *
- * The first byte says which levels have a password: bits 0 to 2. Then steps follow, each a code, a length and that many
+ * Bits 0 to 2 of the first byte select the levels with a password. Steps follow: code, length and this number of
  * bytes:
- *   0  bytes on the line as they are         2  the application prints them
+ *   0  raw bytes on the line                 2  text printed by the application
  *   1  a frame: command and payload          3  the application finishes a command: result code and data
- *   4  a loop samples a recorder for each of them
- * Each whole frame must be answered by one whole frame, except after a step 0, whose bytes it may complete. No step may
- * violate the interface of the application, or change memory that is not writable. */
+ *   4  one sample of a recorder per byte
+ * Each complete frame must be answered by one complete frame, except after a step 0, whose bytes it may complete. No
+ * step may violate the interface of the application, or change memory that is not writable. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -59,7 +59,7 @@ static void feed_frame(harness_t *harness, const uint8_t *body, uint8_t size)
     harness_feed(harness, wire, at);
 }
 
-/* One frame: start, undoubled status, length and data, right checksum, and nothing behind it. */
+/* One frame: start, undoubled status, length and data, valid checksum, and no further bytes. */
 static void check_answer(const uint8_t *wire, uint16_t size)
 {
     static uint8_t body[HARNESS_LINE];
@@ -134,7 +134,7 @@ static uint16_t step(harness_t *harness, uint8_t code, const uint8_t *data, uint
     return sent;
 }
 
-/* All steps of an input; returns the size of what was sent after the last one. */
+/* Run all steps of an input; return the number of bytes sent after the last one. */
 static uint16_t run(const uint8_t *data, size_t size, uint8_t *wire)
 {
     static const char *const words[ACCESS_LEVELS] = {"view", "command", "tune"};

@@ -1,7 +1,7 @@
 """Fuzz the FreeMASTER server with libFuzzer: ``make fuzz``, and the corpus for the tests.
 
-Inputs are what ``freemaster_fuzz.c`` says. What finds new paths stays in the folder of new inputs; a crash is left
-there as a file that ``--replay`` runs again. ``--seeds`` writes the inputs made by hand into the corpus.
+``freemaster_fuzz.c`` describes the inputs. Inputs that reach new paths stay in the folder of new inputs; the input of
+a crash is saved as a file that ``--replay`` runs again. ``--seeds`` writes the inputs made by hand into the corpus.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def seeds() -> dict[str, bytes]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Return the exit status of the fuzzer."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=int, default=600, help="how long (default: %(default)s)")
+    parser.add_argument("--seconds", type=int, default=600, help="duration (default: %(default)s)")
     parser.add_argument("--out", type=Path, default=FIRMWARE.parent / "out" / "fuzz", metavar="DIR", help="new inputs")
     parser.add_argument("--replay", type=Path, nargs="+", metavar="FILE", help="run these inputs only")
     parser.add_argument("--seeds", action="store_true", help="write the committed inputs that are made by hand")

@@ -6,7 +6,7 @@
 #include "comm/sha1.h"
 
 #define SCRAMBLE 0xA5u
-#define TUNING 0x100u /* from this offset on the memory is for tuning */
+#define TUNING 0x100u /* memory from this offset on requires the tuning level */
 
 struct hal {
     uint8_t in[HARNESS_LINE];
@@ -63,7 +63,7 @@ static void note(harness_t *harness, harness_event_t code, uint16_t offset, uint
     }
 }
 
-/* The memory is valid only while interrupts are masked: bytes copied at any other time are visibly wrong. */
+/* The memory is valid only while the server is locked: bytes copied at any other time have wrong values. */
 static void scramble(harness_t *harness)
 {
     for (uint16_t i = 0; i < fixture_memory_size; i++) {
@@ -83,7 +83,7 @@ static void lock(void *context, bool on)
     note(harness, on ? EVENT_LOCK : EVENT_UNLOCK, 0, 0);
 }
 
-/* Accesses every byte that it is given, so that a sanitizer detects an access beyond them. */
+/* Accesses every byte of its argument, so that a sanitizer detects an access beyond them. */
 static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
 {
     harness_t *harness = context;
@@ -109,7 +109,7 @@ static void written(void *context, uint16_t offset, uint16_t size)
     note(harness, EVENT_WRITTEN, offset, size);
 }
 
-/* 0x11 answers the complements of its arguments; any other code nothing, and itself as the result: FE stays pending. */
+/* Command 0x11 returns the complements of its arguments; other codes are their own results without data (FE: pending). */
 static uint8_t command(void *context, uint8_t code, const uint8_t *arguments, uint16_t size, uint8_t *result,
                        uint16_t *result_size)
 {

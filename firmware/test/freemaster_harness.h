@@ -1,5 +1,5 @@
-/* freemaster_harness.h - a FreeMASTER server on a serial line made of two arrays, with an application that notices when
- * the server misbehaves. The table of variables comes from a generated source (freemaster_model.py). */
+/* freemaster_harness.h - a FreeMASTER server on a serial line of two arrays, with an application that counts violations
+ * of its interface. The table of variables is a generated source (freemaster_model.py). */
 #ifndef FREEMASTER_HARNESS_H
 #define FREEMASTER_HARNESS_H
 
@@ -24,21 +24,21 @@ typedef struct harness harness_t;
 harness_t *harness_new(void);
 void harness_free(harness_t *harness);
 
-/* Start the server anew, with the SHA-1 of a password for each level (NULL: none of its own). */
+/* Restart the server, with the SHA-1 of a password for each level (NULL: no own password). */
 void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command, const uint8_t *tune);
-/* The application is done with a command that it has left pending. */
+/* The application completes a pending command. */
 void harness_finish(harness_t *harness, uint8_t code, const uint8_t *result, uint16_t size);
 void harness_print(harness_t *harness, const uint8_t *text, uint16_t size);
 uint8_t harness_level(const harness_t *harness);
 
-/* Bytes that the transmitter takes in each poll from now on. */
+/* Set the number of bytes that the transmitter accepts per poll. */
 void harness_set_put_room(harness_t *harness, uint16_t bytes);
 
-/* Put bytes on the line to the server; what does not fit is lost. */
+/* Send bytes to the server; bytes beyond the buffer are lost. */
 void harness_feed(harness_t *harness, const uint8_t *data, uint16_t size);
 void harness_poll(harness_t *harness);
 
-/* Take what the server has sent since the last call; `data` has room for HARNESS_LINE bytes. */
+/* Get the bytes sent by the server since the last call; the size of `data` is HARNESS_LINE bytes. */
 #ifndef HARNESS_LINE
 #define HARNESS_LINE 4096
 #endif
@@ -47,8 +47,8 @@ uint16_t harness_take(harness_t *harness, uint8_t *data);
 uint8_t harness_read(harness_t *harness, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data, const uint8_t *mask, uint16_t size);
 
-/* The application's side. */
-void harness_set_refusing(harness_t *harness, bool refusing); /* every write from now on */
+/* Interface of the application. */
+void harness_set_refusing(harness_t *harness, bool refusing); /* all later writes */
 void harness_memory(const harness_t *harness, uint8_t *data);
 void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
 void harness_poke_live(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);

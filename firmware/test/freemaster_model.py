@@ -1,4 +1,4 @@
-"""A second opinion on the FreeMASTER server: protocol, table and access rules, written independently in Python."""
+"""Independent reference of the FreeMASTER server in Python: protocol, table and access rules."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMM_SOURCES = tuple(
 
 
 def examples(count: int) -> settings:
-    """So many examples of a property, the same ones in every run."""
+    """Number of examples of a property; the same examples in every run."""
     return settings(max_examples=count, derandomize=True, deadline=None, database=None)
 
 
@@ -66,7 +66,7 @@ def sleb(value: int) -> bytes:
 
 
 def double(body: bytes) -> bytes:
-    """Put a body on the wire: start byte, then every 2B twice."""
+    """Frame of a body on the wire: start byte, then every 2B doubled."""
     return bytes([SOB]) + body.replace(b"\x2b", b"\x2b\x2b")
 
 
@@ -84,14 +84,14 @@ def answer(status: int, data: bytes = b"") -> bytes:
 
 @dataclass(frozen=True)
 class Answer:
-    """One answer, taken apart."""
+    """One parsed answer."""
 
     status: int
     data: bytes = b""
 
 
 def parse_answer(wire: bytes) -> Answer:
-    """Take one complete answer apart; ValueError for anything else."""
+    """Parse one complete answer; ValueError otherwise."""
     if len(wire) < 3 or wire[0] != SOB:
         raise ValueError(f"no frame: {wire.hex(' ')}")
     body = wire[1:].replace(b"\x2b\x2b", b"\x2b")
@@ -109,7 +109,7 @@ def parse_answer(wire: bytes) -> Answer:
     return Answer(status, data)
 
 
-# ---- what the server serves ----------------------------------------------------------------------------------------
+# ---- table of the server -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -155,9 +155,9 @@ ENTRIES = (
     Entry("M.mode", b"mode_t", 0xD0, 2, RW),
     Entry("mode_t", b"\xed:ENUM", 0, 2, NONE, absolute=True),
     Entry("SPEED", b"\xed:CONST", 1, 0, NONE, absolute=True),
-    Entry("M", b"\xed:DIR", 0xD8, 8, RW),  # a directory opens no memory, whatever its entry says
+    Entry("M", b"\xed:DIR", 0xD8, 8, RW),  # a directory gives no access to memory, independent of its entry
     Entry("M.member", b"\xe1", 0xE0, 2, NONE),
-    Entry("M.beyond", b"\xe2", 0x22E, 4, RW),  # a wrong table: half of it lies behind the memory
+    Entry("M.beyond", b"\xe2", 0x22E, 4, RW),  # an invalid entry: half of it is beyond the memory
     Entry("M.last", b"\xe1", 0x22E, 2, RW),
     Entry("L.word", b"\xf1", 0, 2, RO, live=True),
     Entry("L.long", b"\xf2", 4, 4, RO, live=True),
@@ -167,7 +167,7 @@ MEMORY_SIZE = 0x230
 LIVE_SIZE = 32
 
 SOURCES = {"L.word": 6, "L.long": 12, "L.beyond": 30, "M.word0": 2, "M.wide": 16}
-"""Where the loops keep what a variable shows; one of them lies half behind their memory."""
+"""Sources of variables in the memory of the loops; half of one source is beyond that memory."""
 
 SAMPLES = 1024
 """Bytes of the recorders."""
@@ -185,7 +185,7 @@ def initial_memory() -> bytes:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the regions lie and how large the message buffer is."""
+    """Addresses of the regions and size of the message buffer."""
 
     name: str
     variables: int
@@ -229,7 +229,7 @@ class Layout:
         return (self.live if entry.live else self.variables) + entry.at
 
     def wire_table(self) -> bytes:
-        """The table as a client reads it."""
+        """The table in the format that a client reads."""
         return b"".join(
             struct.pack(
                 "<4I",
@@ -258,7 +258,7 @@ class Layout:
         return inside and 0 not in self.blob[start : start + size]
 
     def source(self, address: int, size: int) -> int | None:
-        """Where in the memory of the loops a range has its source."""
+        """Offset of the source of a range in the memory of the loops."""
         for entry in ENTRIES:
             offset = address - self.address(entry)
             if entry.name in SOURCES and offset >= 0 and offset + size <= entry.size:
@@ -271,7 +271,7 @@ class Layout:
         return self.source(address, size) is not None or self._in_entry(address, size, {RO, FLASH, RW})
 
     def content(self, memory: bytes, live: bytes, address: int, size: int) -> bytes:
-        """Bytes at a readable place."""
+        """Bytes at a readable address."""
         source = self.source(address, size)
         if address >= self.live and source is not None:
             return live[source : source + size]
@@ -294,7 +294,7 @@ class Layout:
         )
 
     def c_source(self) -> str:
-        """The same table and memory for the C side."""
+        """The same table and memory as C source."""
         rows = ",\n".join(
             f"    {{{self.string_offset(entry.name.encode())}, {self.string_offset(entry.type)}, "
             f"UINT32_C({self.address(entry):#x}), {entry.size}, {entry.kind}}}"

@@ -1,4 +1,4 @@
-"""A second opinion on the recorders of the FreeMASTER server: operations, triggers and samples, from the protocol."""
+"""Independent reference of the recorders of the FreeMASTER server: operations, triggers and samples."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def variable(slot: int, address: int, size: int, mode: int = 0, threshold: bytes
 
 
 class Refused(Exception):
-    """An operation answers this status."""
+    """An operation is refused with this status."""
 
     def __init__(self, status: int) -> None:
         super().__init__(f"{status:#x}")
@@ -44,17 +44,17 @@ class Refused(Exception):
 
 
 class Reader:
-    """Fields of an operation; a missing one is noticed at the end, and is 0."""
+    """Fields of an operation; a missing field is read as 0 and reported at the end."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at, self._missing = data, 0, False
 
     def missing(self) -> bool:
-        """Whether a field was asked for that is not there."""
+        """Whether a requested field was missing."""
         return self._missing
 
     def complete(self) -> bool:
-        """Whether all fields were there, and nothing is behind them."""
+        """Whether all fields were present, without further bytes."""
         return not self._missing and self._at == len(self._data)
 
     def u8(self) -> int:
@@ -100,7 +100,7 @@ class Slot:
 
 @dataclass
 class Memory:
-    """What the board holds; the test changes it together with the board."""
+    """Memory of the board; the test changes it together with the board."""
 
     layout: Layout
     variables: bytearray
@@ -110,7 +110,7 @@ class Memory:
     """Whose samples these are."""
 
     def bytes_at(self, address: int, size: int) -> bytes:
-        """What the loops see at an address."""
+        """Bytes of the control loops at an address."""
         source = self.layout.source(address, size)
         if source is not None:
             return bytes(self.live[source : source + size])
@@ -140,7 +140,7 @@ class Recorder:
     running: bool = False
     written: int = 0
     """Points since the start."""
-    left: int | None = None
+    remaining: int | None = None
     """Points to come once a trigger has fired."""
     skip: int = 0
 
@@ -149,7 +149,7 @@ class Recorder:
         return sum(slot.size for slot in self.slots if slot is not None and slot.stored)
 
     def forget(self) -> None:
-        """Nothing is configured any more."""
+        """Discard the configuration."""
         self.slots = []
         self.configured = self.started = self.running = False
         self.written = 0
@@ -174,24 +174,29 @@ class Recorder:
         at = self.written % self.total * self.point
         self.memory.samples[at : at + self.point] = point
         self.written += 1
-        if self.left is not None:
-            self.running = self.left > 0
-            self.left -= 1
+        if self.remaining is not None:
+            self.running = self.remaining > 0
+            self.remaining -= 1
 
     def _judge(self, slot: Slot) -> None:
         def number(address: int) -> int:
             return int.from_bytes(self.memory.bytes_at(address, slot.size), "little", signed=slot.mode & 3 == SIGNED)
 
         above = number(slot.address) >= (number(slot.limit) if slot.mode & VARIABLE else slot.limit)
-        wanted = bool(slot.mode & (ABOVE if above else BELOW))
-        if self.written >= self.total and self.left is None and wanted and (slot.mode & LEVEL or slot.above != above):
-            self.left = self.total - 1 - self.before
+        requested = bool(slot.mode & (ABOVE if above else BELOW))
+        if (
+            self.written >= self.total
+            and self.remaining is None
+            and requested
+            and (slot.mode & LEVEL or slot.above != above)
+        ):
+            self.remaining = self.total - 1 - self.before
         slot.above = above
 
     # ---- requests ------------------------------------------------------------------------------------------------
 
     def set(self, operations: bytes) -> Answer:
-        """SETREC behind the index."""
+        """Fields of SETREC after the index."""
         while len(operations) >= 2:
             code, length = operations[0], operations[1]
             data, operations = operations[2 : 2 + length], operations[2 + length :]
@@ -204,7 +209,7 @@ class Recorder:
         return OK
 
     def get(self, code: int) -> Answer:
-        """GETREC behind the index."""
+        """Fields of GETREC after the index."""
         if code == 0x81:
             return Answer(0x40, NAMES[self.index])
         if code == 0x82:
@@ -216,7 +221,7 @@ class Recorder:
         return Answer(0x95)
 
     def state(self) -> int:
-        """State, as STATUS answers it."""
+        """State, as in the answer to STATUS."""
         if not self._finish():
             return 0
         if self.running:
@@ -295,7 +300,7 @@ class Recorder:
             raise Refused(0x86)
         if not self.running:
             self.started = self.running = True
-            self.written, self.skip, self.left = 0, 0, None
+            self.written, self.skip, self.remaining = 0, 0, None
 
     def _stop(self) -> None:
         if not self.configured:

@@ -34,7 +34,7 @@ def wrapped(angle: float) -> float:
 
 
 class Estimator:
-    """Observer and PLL of axis 1, stepped as the firmware steps them."""
+    """Observer and PLL of axis 1, called in the order of the firmware."""
 
     def __init__(self, core: Core) -> None:
         self.lib, self.ffi = core.lib, core.ffi
@@ -49,7 +49,7 @@ class Estimator:
     def _observer(self) -> Any:
         return self.ffi.addressof(self.config, "observer")
 
-    def leave_size_out(self) -> None:
+    def ignore_amplitude(self) -> None:
         """Disable the speed correction by the amplitude of the back-EMF."""
         self._pll.amplitude_gain = self._pll.amplitude_load_gain = 0
 
@@ -70,12 +70,12 @@ class Estimator:
         self.pll.backwards = self.pll.integral < 0
         self.lib.back_emf_observer_set_speed(self.observer, self.pll.integral)
         self.lib.pll_adapt(self.pll, self._pll, frac16(abs(self.emf) / U_FS))
-        turned = (self.pll.angle - self._angle + 2**31) % 2**32 - 2**31
+        rotation = (self.pll.angle - self._angle + 2**31) % 2**32 - 2**31
         self._angle = self.pll.angle
         if push is not None:
             emf = self.emf_dq
             beside = {"d": frac16(emf.real / U_FS), "q": frac16((emf.imag - PSI * self.omega) / U_FS)}
-            self.lib.pll_feed_forward(self.pll, self._pll, frac16(push / I_FS), beside, turned)
+            self.lib.pll_feed_forward(self.pll, self._pll, frac16(push / I_FS), beside, rotation)
 
     @property
     def emf(self) -> complex:
@@ -120,12 +120,12 @@ class Rig:
     def step(self, theta: Callable[[float], float], i_q: float = 0.0) -> None:
         """One period: sample, command, and the motor until the next sample."""
         now = self.k * T
-        wanted = 1j * i_q * cmath.exp(1j * theta(now))
+        set_point = 1j * i_q * cmath.exp(1j * theta(now))
         later = 1j * i_q * cmath.exp(1j * theta(now + T))
         flux = [PSI * cmath.exp(1j * theta(now + x * T)) for x in (0.5, 1.0, 1.5)]
         # drives the current to its set-point against the back-EMF of the period in which the voltage acts
-        command = self.r * later + self.l_s * (later - wanted) / T + (flux[2] - flux[0]) / T
-        command += 0.3 * self.l_s / T * (wanted - self.current)
+        command = self.r * later + self.l_s * (later - set_point) / T + (flux[2] - flux[0]) / T
+        command += 0.3 * self.l_s / T * (set_point - self.current)
         self.commands = [self.commands[1], command]
         self.estimator.fast(self.current, command)
         if self.k % SLOW == 0:
@@ -144,5 +144,5 @@ class Rig:
             self.current = a * self.current + (1.0 - a) / self.r * (v - e)
 
     def angle_error(self, theta: Callable[[float], float]) -> float:
-        """Observed less true angle at the next sample, electrical [rad]."""
+        """Observed minus true angle at the next sample, electrical [rad]."""
         return wrapped(self.estimator.theta - theta(self.k * T))

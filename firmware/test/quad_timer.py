@@ -21,7 +21,7 @@ class QuadTimer:
         self.index_works = True
 
     def move(self, edges: int) -> None:
-        """Turn the shaft by some edges."""
+        """Move the shaft by some edges."""
         step = 1 if edges > 0 else -1
         for _ in range(abs(edges)):
             b_edge = (self.shaft if step > 0 else self.shaft - 1) % 2 == 1

@@ -148,7 +148,7 @@ class Bench:
             self.hal.axis[i].current_code[phase] = round(2048 * (1.0 + current))
 
     def turn(self, axis: int, speed: float) -> None:
-        """Turn a shaft at a constant speed [rad/s], independent of the firmware."""
+        """Rotate a shaft at a constant speed [rad/s], independent of the firmware."""
         self._speed[axis] = speed * 0.5e-3 * COUNTS / 6.283185307179586
 
     def trace(self, ticks: int, value: Callable[[], Any], axis: int = 0, *, follow: bool = True) -> list[Any]:
@@ -167,7 +167,7 @@ class Bench:
         return self.trace(ticks, lambda: (view.position_ref, view.position), axis)
 
     def turn_without_current(self, axis: int, speed: float) -> None:
-        """Turn a spinning axis from outside [rad/s] in torque mode with zero current."""
+        """Rotate a spinning axis by an external torque [rad/s] in torque mode with zero current."""
         self.write(axis, mode=MODE.TORQUE, i_q=0)
         self.turn(axis, speed)
 

@@ -1,4 +1,4 @@
-"""Configuration blocks: sent in parts, taken as a whole or not at all, in motion only what may change there."""
+"""Configuration blocks: sent in parts, applied completely or not at all, in motion only live members."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def take(bench: BlockBench, *axes: int) -> None:
 
 
 def other(member: Member, raw: int) -> int:
-    """Another number that the member may have, if there is one."""
+    """Another permitted number of the member, if one exists."""
     return member.maximum if raw != member.maximum else member.minimum
 
 
@@ -75,7 +75,7 @@ def test_any_block_within_the_ranges_comes_back_as_it_was_sent(core: Core, data:
     kept = read_block(bench, 1 - axis)
     block = {m.path: data.draw(st.integers(m.minimum, m.maximum)) & (m.maximum if m.bits else -1) for m in MEMBERS}
     send_block(bench, axis, block)
-    assert read_block(bench, axis) != block or kept == block, "nothing is taken yet"
+    assert read_block(bench, axis) != block or kept == block, "nothing is applied yet"
     before = bench.read_words("tick")[0]
     take(bench, axis)
     assert read_block(bench, axis) == block
@@ -97,16 +97,14 @@ def test_any_block_within_the_ranges_comes_back_as_it_was_sent(core: Core, data:
         (lambda words: words[:3], "FORM"),
     ],
 )
-def test_a_header_that_does_not_fit_is_refused(
-    bench: BlockBench, change: Callable[[list[int]], list[int]], reason: str
-) -> None:
+def test_an_invalid_header_is_refused(bench: BlockBench, change: Callable[[list[int]], list[int]], reason: str) -> None:
     old = read_block(bench, 0)
     block = {**old, "speed.kp": old["speed.kp"] + 1}
     send_block(bench, 0, block)
     assert not bench.write_words("config.header", change(header(0, block)))
     assert refusal(bench) == REFUSALS[reason]
     if reason not in ("AXIS", "FORM") and change(header(0, block))[0] == 0:
-        assert not bench.write_words("config.take", [1]), "a wrong header also takes back the right one"
+        assert not bench.write_words("config.take", [1]), "a wrong header also withdraws the right one"
         assert refusal(bench) == REFUSALS["UNCHECKED"]
         assert read_block(bench, 0) == old
 
@@ -124,7 +122,7 @@ def test_a_member_out_of_range_is_refused(bench: BlockBench, member: Member) -> 
 
 
 def test_refuses_impossible_stop_category(bench: BlockBench) -> None:
-    """OVER_VOLTAGE by a ramp: the energy would go to a bus that has too much of it."""
+    """OVER_VOLTAGE with a ramp: braking would raise the bus voltage further."""
     number = list(TABLE.members).index("stop.ramp")
     assert not bench.write_words("config.window", [0, number, 1, 1])
     assert bench.write_words("config.window", [0, number, 1, 1 << 6])
@@ -143,7 +141,7 @@ def test_refuses_impossible_stop_category(bench: BlockBench) -> None:
         ([0, 0], "FORM"),
     ],
 )
-def test_a_part_that_does_not_fit_is_refused(bench: BlockBench, words: list[int], reason: str) -> None:
+def test_a_malformed_part_is_refused(bench: BlockBench, words: list[int], reason: str) -> None:
     assert not bench.write_words("config.window", words)
     assert refusal(bench) == REFUSALS[reason]
 
@@ -163,14 +161,14 @@ def test_take_without_a_ready_block_is_refused(bench: BlockBench, axes: int) -> 
 def test_no_block_is_written_while_blocks_are_pending(bench: BlockBench) -> None:
     block = read_block(bench, 0)
     send_block(bench, 0, block)
-    bench.servo.locked = True  # the latch is left out
+    bench.servo.locked = True  # the latch is omitted
     assert bench.write_words("config.take", [1])
     for name, words in (("config.window", [0, 0, 1, 5]), ("config.header", header(0, block)), ("config.take", [1])):
         assert not bench.write_words(name, words)
         assert refusal(bench) == REFUSALS["BUSY"]
 
 
-def test_both_axes_take_their_blocks_with_the_same_tick(bench: BlockBench) -> None:
+def test_both_axes_apply_their_blocks_in_the_same_tick(bench: BlockBench) -> None:
     blocks = [read_block(bench, axis) for axis in range(2)]
     for axis, block in enumerate(blocks):
         block["position_gain"] += 1 + axis
@@ -257,7 +255,7 @@ def test_position_gain_changes_gradually(bench: BlockBench) -> None:
 @settings(max_examples=40)
 @given(data=st.data())
 def test_change_of_gains_is_bumpless(core: Core, data: st.DataObject) -> None:
-    """Speed control with a large error: what the proportional part loses or gains the integral part takes."""
+    """Speed control with a large error: the integral part compensates the step of the proportional part."""
     bench = BlockBench(core)
     bench.to_stop()
     bench.to_spin(0)

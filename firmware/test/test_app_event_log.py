@@ -1,4 +1,4 @@
-"""The console of the board: what has happened, with its tick."""
+"""The console of the board: events with their ticks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PIPE = 0x28
 
 
 class Console:
-    """A client that fetches lines."""
+    """A client that reads lines."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -31,9 +31,9 @@ class Console:
         return answer.data[2:]
 
     def lines(self) -> list[str]:
-        """All there is, without the ticks, which have to rise."""
+        """All available lines without their ticks, which must increase."""
         text = b""
-        while part := self.poll() or self.poll():  # one answer acknowledges, the next one has what follows
+        while part := self.poll() or self.poll():  # one answer acknowledges, the next one contains the following text
             text += part
         ticks, lines = [], []
         for line in text.decode("ascii").splitlines():
@@ -48,13 +48,13 @@ class Console:
 
 @pytest.fixture
 def quiet(core: Core) -> Bench:
-    """A board that has just come to STOP."""
+    """A board that has just entered STOP."""
     bench = Bench(core)
     bench.to_stop()
     return bench
 
 
-def test_reset_and_states(quiet: Bench) -> None:
+def test_reset_and_states_are_logged(quiet: Bench) -> None:
     console = Console(quiet)
     assert console.lines() == ["reset", "axis1 INIT", "axis2 INIT", "axis1 STOP", "axis2 STOP"]
     quiet.to_spin(1)
@@ -62,10 +62,10 @@ def test_reset_and_states(quiet: Bench) -> None:
     assert lines[0] == "axis2 RUN/CALIB"
     assert lines[-1] == "axis2 RUN/SPIN"
     assert lines.index("axis2 RUN/READY") < lines.index("axis2 RUN/ALIGN")
-    assert console.lines() == [], "nothing twice, nothing without an event"
+    assert console.lines() == [], "no line is repeated, and none without an event"
 
 
-def test_faults_by_name(quiet: Bench) -> None:
+def test_faults_are_logged_by_name(quiet: Bench) -> None:
     console = Console(quiet)
     console.lines()
     quiet.hal.axis[0].over_current = True
@@ -78,7 +78,7 @@ def test_faults_by_name(quiet: Bench) -> None:
     assert console.lines()[:2] == ["axis1 faults cleared", "axis1 INIT"]
 
 
-def test_refused_writes_and_points_are_lines(quiet: Bench) -> None:
+def test_refused_writes_and_points_are_logged(quiet: Bench) -> None:
     console = Console(quiet)
     console.lines()
     address = quiet.address("param.acceleration_limit", 1)
@@ -89,7 +89,7 @@ def test_refused_writes_and_points_are_lines(quiet: Bench) -> None:
     assert console.lines() == ["refused param.acceleration_limit", "points refused: MODE"]
 
 
-def test_a_reset_by_the_watchdog_is_a_line(core: Core) -> None:
+def test_a_reset_by_the_watchdog_is_logged(core: Core) -> None:
     bench = Bench(core)
     bench.hal.reset_by_watchdog = True
     core.lib.servo_init(bench.servo, bench.hal)
@@ -119,7 +119,7 @@ def test_repeated_events_do_not_displace_others(quiet: Bench) -> None:
 
 
 def test_no_line_is_too_long(quiet: Bench) -> None:
-    """The longest of each kind, at the latest tick."""
+    """The longest line of each kind, at the largest tick."""
     console = Console(quiet)
     console.lines()
     log, last = quiet.core.ffi.addressof(quiet.servo, "event_log"), 2**32 - 1

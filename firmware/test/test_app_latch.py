@@ -1,4 +1,4 @@
-"""From the host's writes to the commands of one tick: elements, freshness, consistency."""
+"""From writes of the host to the commands of one tick: elements, new writes, consistency."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from servo_bench import FAULTS, MODE, Bench
 FIELDS = ("position", "speed", "i_q", "mode", "enable", "quick_stop", "clear_faults", "home")
 """Set-points and requests of one element per axis, in the order of the block."""
 BITS = dict(zip(FIELDS, (0, 1, 2, 4, 5, 6, 7, 8), strict=True))
-"""In `axis_command_t.fresh`; bit 3 is that of timed points."""
+"""Bits of `axis_command_t.fresh`; bit 3 marks timed points."""
 FRESH_POSITION = 1
 TO_LATCH = 7
 """PWM periods from the snapshot to the latch; one more to the slow loops."""
@@ -44,7 +44,7 @@ def test_one_element_marks_one_axis_of_one_field(core: Core, field: str, axis: i
 
 
 @given(data=st.data())
-def test_any_range_marks_exactly_what_it_touches(core: Core, data: st.DataObject) -> None:
+def test_any_range_marks_exactly_the_elements_it_contains(core: Core, data: st.DataObject) -> None:
     total = core.ffi.offsetof("command_block_t", "points")
     begin = data.draw(st.integers(0, total - 1))
     size = data.draw(st.integers(1, total - begin))
@@ -75,7 +75,7 @@ def test_freshness_lasts_one_tick(bench: Bench) -> None:
 
 
 def test_whole_block_in_one_write(bench: Bench) -> None:
-    """Every field of both axes at once: the mode is known when the set-point counts."""
+    """Every field of both axes in one write: the mode applies before the set-point."""
     bench.to_spin(0, 1)
     bench.write_raw("cmd.mode", [MODE.SPEED, MODE.TORQUE])
     bench.write_raw("cmd.speed", [2**27, 0])
@@ -128,7 +128,7 @@ def test_writes_between_two_slow_ticks_take_effect_together(bench: Bench, core: 
 
 
 def test_writes_during_a_lock_are_latched_later(bench: Bench) -> None:
-    """While the server copies, nothing is latched and no snapshot published; afterwards the write still counts."""
+    """While the server copies, nothing is latched and no snapshot is published; the write is latched afterwards."""
     tick = bench.servo.snapshot.tick
     bench.write(0, enable=1)
     bench.servo.locked = True
@@ -142,7 +142,7 @@ def test_writes_during_a_lock_are_latched_later(bench: Bench) -> None:
 
 
 def test_locked_parameters_of_the_board_are_not_read_and_pending_faults_not_published(bench: Bench) -> None:
-    """The server may be in the middle of a number; what it copies next is latched or published whole."""
+    """The server may have copied half a number; the complete number is latched or published later."""
     bench.slow()
     before = bench.servo.settings.host_timeout
     bench.servo.locked = True
@@ -162,11 +162,11 @@ def test_locked_parameters_of_the_board_are_not_read_and_pending_faults_not_publ
 
 
 def test_an_omitted_latch_does_not_repeat_a_new_write(bench: Bench) -> None:
-    """An old `clear_faults` must not clear a fault that came after it."""
+    """An old `clear_faults` must not clear a later fault."""
     bench.write(0, clear_faults=1)
     bench.slow()
     bench.core.lib.probe_run(bench.servo, TO_LATCH - 1)
-    bench.core.lib.servo_m1_isr(bench.servo)  # and no M2, which carries the latch
+    bench.core.lib.servo_m1_isr(bench.servo)  # without M2, which runs the latch
     assert bench.axis(0).command.fresh == 0
 
 
@@ -184,8 +184,8 @@ def test_locked_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
     bench.servo.locked = False
 
 
-def test_parameter_counts_from_the_tick_after_it_was_written(bench: Bench, core: Core) -> None:
-    """Written over the wire, not only standing in memory; of both axes and of the board."""
+def test_parameter_applies_from_the_tick_after_its_write(bench: Bench, core: Core) -> None:
+    """Parameters written by the protocol, of both axes and of the board."""
     core.lib.probe_run(bench.servo, 8)
     before = [bench.axis(i).following_error_max for i in range(2)]
     bench.servo.parameter.following_error = [7, 8]
@@ -199,7 +199,7 @@ def test_parameter_counts_from_the_tick_after_it_was_written(bench: Bench, core:
 
 
 def test_limit_is_not_lost_with_an_omitted_interrupt(bench: Bench, core: Core) -> None:
-    """A tighter limit waits for the slow loop of its axis, whatever else is latched in between."""
+    """A lower limit is applied by the next slow loop of its axis, independent of other writes before."""
     bench.to_spin(0)
     limit = bench.axis(0).limits.i_q // 2
     bench.write_raw("param.i_q_limit", [limit, limit])

@@ -1,4 +1,4 @@
-"""Anything may happen in any order: what must hold all the same."""
+"""Invariants under random commands, voltages, currents and shaft movements."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEGAL = {
     (STATE.RUN, STATE.STOP),
 }
 AT_ONCE = {(STATE.STOP, STATE.INIT), (STATE.RUN, STATE.INIT)}
-"""By way of FAULT: found by the watches in the middle of a tick, cleared at its end."""
+"""Transitions via FAULT: raised by the monitors within a tick, cleared at its end."""
 
 
 class Monkey:
@@ -31,7 +31,7 @@ class Monkey:
         self.enabled = [False, False]  # written since the last time the axis was not enabled
 
     def any_of(self, name: str) -> int:
-        """A raw number that may be written."""
+        """A random raw number within the range of a variable."""
         low, high = self.bench.catalogue[name].raw_range
         return self.random.randrange(low, high + 1)
 

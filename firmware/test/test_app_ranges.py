@@ -1,4 +1,4 @@
-"""A write that would leave the range of a variable is refused as a whole, whatever way it comes."""
+"""A write with a value out of range is refused completely, by every access path."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ WRITABLE = {
 }
 RANGED = [name for name in WRITABLE if name != "cmd.position"]
 BOUNDED = [name for name in RANGED if WRITABLE[name].raw_range[1] + 1 < 1 << 8 * WRITABLE[name].element_size]
-"""Those with numbers that they refuse."""
+"""Variables with a range smaller than that of their type."""
 
 
 def stopped(core: Core, *, shaft: int = 0) -> Bench:
-    """A board at rest; both shafts are where it was told."""
+    """A board at rest with both shafts at the position `shaft` [counts]."""
     bench = Bench(core)
     bench.to_stop()
     for axis in range(2):
@@ -41,7 +41,7 @@ def bench(core: Core) -> Bench:
 
 
 def memory(bench: Bench) -> bytes:
-    """Command and parameter block, the marks, and what the supervision counts."""
+    """Command and parameter blocks, their marks, and the counters of the supervision."""
     servo, buffer = bench.servo, bench.core.ffi.buffer
     parts = (servo.command, servo.parameter, servo.marks)
     counts = bytes([servo.host_commands & 0xFF, servo.locked])
@@ -61,7 +61,7 @@ def over_frame(bench: Bench, address: int, data: bytes, mask: bytes | None = Non
     return answer.status
 
 
-def past_the_line(bench: Bench, address: int, data: bytes, mask: bytes | None = None) -> int:
+def by_direct_access(bench: Bench, address: int, data: bytes, mask: bytes | None = None) -> int:
     """Status of a write without a serial line."""
     lib, servo = bench.core.lib, bench.servo
     if mask is None:
@@ -69,12 +69,12 @@ def past_the_line(bench: Bench, address: int, data: bytes, mask: bytes | None = 
     return int(lib.freemaster_write(bench.core.ffi.addressof(servo, "freemaster"), address, data, mask, len(data)))
 
 
-Way = Callable[..., int]
-WAYS = pytest.mark.parametrize("way", [over_frame, past_the_line])
+WriteFunction = Callable[..., int]
+ACCESS_PATHS = pytest.mark.parametrize("write", [over_frame, by_direct_access])
 
 
 def encoded(variable: Variable, number: int) -> bytes:
-    """One element, whether it fits the range or not."""
+    """Bytes of one element, in range or not."""
     return (number % (1 << 8 * variable.element_size)).to_bytes(variable.element_size, "little")
 
 
@@ -90,38 +90,40 @@ def test_values_after_a_reset_are_within_their_ranges(bench: Bench) -> None:
         assert all(low <= number <= high for number in stored(bench, variable)), variable.name
 
 
-@WAYS
+@ACCESS_PATHS
 @pytest.mark.parametrize("name", RANGED)
-def test_both_ends_of_a_range_are_accepted(bench: Bench, name: str, way: Way) -> None:
+def test_both_ends_of_a_range_are_accepted(bench: Bench, name: str, write: WriteFunction) -> None:
     variable = WRITABLE[name]
     for number in variable.raw_range:
-        assert way(bench, bench.address(name), encoded(variable, number) * variable.count) == 0
+        assert write(bench, bench.address(name), encoded(variable, number) * variable.count) == 0
         assert stored(bench, variable) == [number] * variable.count
         bench.core.lib.servo_init(bench.servo, bench.hal)
         for element in range(variable.count):
-            assert way(bench, bench.address(name, element), encoded(variable, number)) == 0
+            assert write(bench, bench.address(name, element), encoded(variable, number)) == 0
             assert stored(bench, variable)[element] == number
 
 
-@WAYS
+@ACCESS_PATHS
 @pytest.mark.parametrize("name", BOUNDED)
-def test_one_beyond_either_end_is_refused_and_changes_nothing(bench: Bench, name: str, way: Way) -> None:
+def test_a_value_one_beyond_either_end_is_refused_and_changes_nothing(
+    bench: Bench, name: str, write: WriteFunction
+) -> None:
     variable = WRITABLE[name]
     low, high = variable.raw_range
     before = memory(bench)
     for number in (low - 1, high + 1):
         bad, good = encoded(variable, number), encoded(variable, high)
         for element in range(variable.count):
-            assert way(bench, bench.address(name, element), bad) == OUT_OF_RANGE
+            assert write(bench, bench.address(name, element), bad) == OUT_OF_RANGE
             whole = good * element + bad + good * (variable.count - element - 1)
-            assert way(bench, bench.address(name), whole) == OUT_OF_RANGE, "the good element is not written either"
-            assert way(bench, bench.address(name), whole, b"\xff" * len(whole)) == OUT_OF_RANGE
+            assert write(bench, bench.address(name), whole) == OUT_OF_RANGE, "the good element is not written either"
+            assert write(bench, bench.address(name), whole, b"\xff" * len(whole)) == OUT_OF_RANGE
         assert memory(bench) == before
 
 
 @given(data=st.data())
 def test_after_any_writes_every_element_is_inside_its_range(core: Core, data: st.DataObject) -> None:
-    """Parts of elements, several elements, masks: what stands there stays something that may stand there."""
+    """Writes of parts of elements, of several elements and with masks: every stored element stays in its range."""
     bench = stopped(core)
     taken = 0
     for _ in range(20):
@@ -138,37 +140,37 @@ def test_after_any_writes_every_element_is_inside_its_range(core: Core, data: st
         for k in range(size):
             new[begin + k] = old[begin + k] & ~selected[k] & 0xFF | written[k] & selected[k]
         low, high = variable.raw_range
-        wanted = variable.decode_raw(bytes(new))
-        fits = all(low <= number <= high for number in wanted)
-        status = past_the_line(bench, bench.address(variable.name) + begin, written, mask)
+        expected = variable.decode_raw(bytes(new))
+        fits = all(low <= number <= high for number in expected)
+        status = by_direct_access(bench, bench.address(variable.name) + begin, written, mask)
         if variable.name == "cmd.position":
-            fits = status == 0  # and within reach, see below
+            fits = status == 0  # the distance is limited too, see below
         assert status == (0 if fits else OUT_OF_RANGE)
-        assert stored(bench, variable) == (wanted if fits else before)
+        assert stored(bench, variable) == (expected if fits else before)
         taken += fits
 
 
 # ---- position set-points --------------------------------------------------------------------------------------------
 
 
-@WAYS
+@ACCESS_PATHS
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("shaft", [0, 12345, -(2**30) - 7, 2**31 - 1, -(2**31)])
-def test_a_position_out_of_reach_is_refused(core: Core, shaft: int, axis: int, way: Way) -> None:
-    """Farther than a quarter of the 32 bits; across their ends the distance is that of the shorter way."""
+def test_a_position_out_of_reach_is_refused(core: Core, shaft: int, axis: int, write: WriteFunction) -> None:
+    """Distance above a quarter of the 32-bit range; the distance is the shorter one across the wrap."""
     bench, variable = stopped(core), WRITABLE["cmd.position"]
     bench.view(axis).position = shaft
     address = bench.address("cmd.position", axis)
     for distance in (0, 1, -1, REACH, -REACH):
-        assert way(bench, address, encoded(variable, shaft + distance)) == 0, distance
+        assert write(bench, address, encoded(variable, shaft + distance)) == 0, distance
     before = memory(bench)
     for distance in (REACH + 1, -REACH - 1, 2**31 - 1, -(2**31)):
-        assert way(bench, address, encoded(variable, shaft + distance)) == OUT_OF_RANGE, distance
+        assert write(bench, address, encoded(variable, shaft + distance)) == OUT_OF_RANGE, distance
     assert memory(bench) == before
 
 
-def test_only_the_axis_that_is_commanded_has_to_be_within_reach(core: Core) -> None:
-    """The other one may have turned away from where it was sent long ago."""
+def test_only_the_commanded_axis_is_checked_for_its_distance(core: Core) -> None:
+    """The other shaft may have moved away from its last set-point."""
     bench, variable = stopped(core), WRITABLE["cmd.position"]
     bench.view(1).position = 2**31 - 1
     address, both = bench.address("cmd.position"), encoded(variable, 7) * 2
@@ -178,7 +180,7 @@ def test_only_the_axis_that_is_commanded_has_to_be_within_reach(core: Core) -> N
     assert over_frame(bench, address, both, bytes(7) + b"\x01") == OUT_OF_RANGE
 
 
-# ---- what a refusal leaves alone ------------------------------------------------------------------------------------
+# ---- effects of a refused write ------------------------------------------------------------------------------------
 
 
 def test_a_refused_command_takes_no_effect(bench: Bench) -> None:
@@ -187,5 +189,7 @@ def test_a_refused_command_takes_no_effect(bench: Bench) -> None:
     assert over_frame(bench, bench.address("cmd.enable"), b"\x01\x00\x02\x00") == OUT_OF_RANGE
     assert bench.servo.freemaster.statistics.refused == 1
     bench.slow(3)
-    assert (snapshot.applied_count, bench.servo.host_commands) == (count, commands), "nor is it a sign of life"
+    assert (snapshot.applied_count, bench.servo.host_commands) == (count, commands), (
+        "it does not reset the host time-out"
+    )
     assert not bench.axis(0).enable_requested

@@ -1,4 +1,4 @@
-"""Parameters and configuration in the data flash: kept whole or not at all, whenever power fails."""
+"""Parameters and configuration in the data flash: complete sets only, at any power failure."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Values = tuple[Any, ...]
 
 
 class Command(NamedTuple):
-    """A command of the flash, and what was in it before."""
+    """A flash command and the content of the flash before it."""
 
     erases: bool
     at: int
@@ -45,7 +45,7 @@ class Command(NamedTuple):
     before: Words
 
     def torn(self, changed: Words) -> Words:
-        """What is left when only the bits under `changed` (of a sector) had changed when power failed."""
+        """Content after a power failure when only the bits of the mask `changed` (of a sector) had changed."""
         words: Words = self.before.copy()
         if self.erases:
             words[SECTOR * self.at : SECTOR * (self.at + 1)] |= changed
@@ -55,7 +55,7 @@ class Command(NamedTuple):
 
 
 class StorageBench(BlockBench):
-    """A board whose data flash a test reads and writes, and that may be switched off and on."""
+    """A board with access to its data flash and a power switch."""
 
     def __init__(self, core: Core, flash: Words | None = None) -> None:
         super().__init__(core)
@@ -64,7 +64,7 @@ class StorageBench(BlockBench):
             self.start(flash)
 
     def start(self, flash: Words) -> None:
-        """Power on with this in the flash."""
+        """Power on with this content of the flash."""
         ffi, lib = self.core.ffi, self.core.lib
         ffi.memmove(self.servo, bytes(ffi.sizeof("servo_t")), ffi.sizeof("servo_t"))
         lib.fake_hal_init(self.hal)
@@ -77,7 +77,7 @@ class StorageBench(BlockBench):
         return words
 
     def values(self) -> Values:
-        """All that is kept."""
+        """All values that are stored."""
         named = tuple(tuple(self.read_words(v.name)) for v in PARAMETERS)
         return (*named, *(tuple(read_block(self, axis).values()) for axis in range(2)))
 
@@ -85,7 +85,7 @@ class StorageBench(BlockBench):
         return self.write_words("storage.request", [kind, next(self.tokens) if token is None else token])
 
     def finish(self) -> str:
-        """Run the background until the request is done; why it had no effect."""
+        """Run the background until the request is done; return the reason of a refusal."""
         for _ in range(20_000):
             if self.servo.storage_status.state == 0:
                 return self.refusal()
@@ -93,7 +93,7 @@ class StorageBench(BlockBench):
         raise AssertionError("the request never ends")
 
     def commands(self, kind: int) -> Iterator[Command]:
-        """Carry out a request, and hand out each command before it has any effect."""
+        """Execute a request; yield each flash command before its effect."""
         assert self.request(kind)
         seen = self.hal.flash_commands
         while self.servo.storage_status.state != 0:
@@ -104,7 +104,7 @@ class StorageBench(BlockBench):
         assert self.refusal() == "NONE"
 
     def begin(self, kind: int, command: int) -> None:
-        """Carry out a request up to the beginning of its `command` (from 1)."""
+        """Execute a request up to the start of its flash command number `command` (from 1)."""
         first = self.hal.flash_commands
         assert self.request(kind)
         while self.hal.flash_commands < first + command:
@@ -128,7 +128,7 @@ class StorageBench(BlockBench):
         return [CATALOGUE.label("stored_copy_t", raw) for raw in self.read_words("storage.copy")]
 
     def change(self, speed: float, gain: int) -> None:
-        """Another parameter and another member."""
+        """Change a parameter and a member of the configuration."""
         self.set_parameter("speed_limit", speed)
         block = read_block(self, 1)
         send_block(self, 1, {**block, "position_gain": block["position_gain"] + gain})
@@ -160,23 +160,23 @@ def two_sets(bench: StorageBench) -> tuple[Values, Values, Words]:
 
 
 def seal(words: Words, copy: int) -> None:
-    """Sign a set anew."""
+    """Write the seal of a set again."""
     first = ROOM * copy
     end = first + int(words[first + 1]) - 1
     words[end] = zlib.crc32(words[first:end].tobytes())
 
 
-# ---- what is kept ---------------------------------------------------------------------------------------------------
+# ---- stored values ---------------------------------------------------------------------------------------------------
 
 
-def test_an_erased_flash_brings_the_built_in_values(bench: StorageBench) -> None:
+def test_an_erased_flash_gives_the_built_in_values(bench: StorageBench) -> None:
     assert (bench.source(), bench.copies()) == ("BUILT_IN", ["EMPTY", "EMPTY"])
     assert bench.read_words("storage.sequence") == [0]
 
 
 @settings(max_examples=25)
 @given(data=st.data())
-def test_all_values_come_back_after_a_reset(core: Core, data: st.DataObject) -> None:
+def test_all_values_are_restored_after_a_reset(core: Core, data: st.DataObject) -> None:
     bench = StorageBench(core, erased())
     bench.to_stop()
     blocks = [
@@ -198,7 +198,7 @@ def test_all_values_come_back_after_a_reset(core: Core, data: st.DataObject) -> 
     assert bench.read_words("config.taken_count") == [0]
 
 
-def test_the_set_in_the_flash_is_what_the_document_says(bench: StorageBench) -> None:
+def test_the_set_in_the_flash_has_the_documented_format(bench: StorageBench) -> None:
     bench.keep()
     words = bench.flash[:ROOM]
     raw = [word & 0xFFFF_FFFF for v in PARAMETERS for word in bench.read_words(v.name)]
@@ -255,7 +255,7 @@ def test_built_in_values_are_restored_by_the_next_reset_after_a_factory_request(
 
 
 def tears(command: Command, random: np.random.Generator) -> Iterator[Words]:
-    """What may be left of a command: nothing of it, some of it, all of it, and what has half the bits of each word."""
+    """Content after an interrupted command: no, some or all bits changed, and the lower half of each word."""
     yield command.before
     for part in (0.03, 0.5, 0.97):
         bits = random.random((SECTOR, 32)) < part
@@ -285,7 +285,9 @@ def test_power_failure_during_a_save_leaves_the_old_or_the_new_set(
             assert (other.source() == "BUILT_IN") == (earlier == 0 and values == before)
             seen.add((values == after, steps == COMMANDS))
     assert steps == COMMANDS
-    assert seen == {(False, False), (False, True), (True, True)}, "new only with the seal, which is the last word"
+    assert seen == {(False, False), (False, True), (True, True)}, (
+        "the new set is valid only with the seal, the last word"
+    )
 
 
 def test_power_failure_during_an_erase_leaves_the_old_or_the_built_in_set(core: Core, bench: StorageBench) -> None:
@@ -305,7 +307,7 @@ def test_power_failure_during_an_erase_leaves_the_old_or_the_built_in_set(core: 
     assert {number for number, kept in seen if not kept} == {3, 4}
 
 
-def test_after_a_cut_the_next_save_works(core: Core, bench: StorageBench) -> None:
+def test_after_a_power_failure_the_next_save_works(core: Core, bench: StorageBench) -> None:
     _, newer, _ = two_sets(bench)
     for command in bench.commands(SAVE):
         if command.at == 40 and not command.erases:
@@ -352,7 +354,7 @@ def kept_sets(core: Core) -> tuple[Values, Values, Words]:
 
 @settings(max_examples=200)
 @given(data=st.data())
-def test_random_contents_are_never_taken_for_a_set(core: Core, data: st.DataObject) -> None:
+def test_random_contents_are_never_accepted_as_a_set(core: Core, data: st.DataObject) -> None:
     bench = StorageBench(core)
     words = erased()
     built_in = None
@@ -384,7 +386,7 @@ def test_a_set_of_another_firmware_is_reported_and_overwritten_last(core: Core, 
     assert bench.source() == "COPY_A"
 
 
-def test_a_value_that_a_host_may_not_write_is_not_taken_from_the_flash_either(core: Core) -> None:
+def test_a_value_out_of_range_in_the_flash_invalidates_its_set(core: Core) -> None:
     older, _, kept = kept_sets(core)
     bench = StorageBench(core)
     place = HEAD
@@ -399,7 +401,7 @@ def test_a_value_that_a_host_may_not_write_is_not_taken_from_the_flash_either(co
             flash[ROOM + place] = wrong & 0xFFFF_FFFF
             seal(flash, 1)
             bench.start(flash)
-            if bench.source() == "COPY_B":  # 16 bits that are all in range
+            if bench.source() == "COPY_B":  # all 16-bit values are in range
                 assert low - high in (-0xFFFF, 0xFFFF), place
                 continue
             assert (bench.copies(), bench.source()) == (["INTACT", "OUT_OF_RANGE"], "COPY_A")
@@ -420,8 +422,8 @@ def test_state_of_a_damaged_copy_is_logged(core: Core) -> None:
 # ---- requests -------------------------------------------------------------------------------------------------------
 
 
-def test_a_request_that_is_repeated_is_carried_out_once(bench: StorageBench) -> None:
-    """Its answer may have been lost, whether it is still under way or done."""
+def test_a_repeated_request_is_executed_once(bench: StorageBench) -> None:
+    """The host repeats a request if the answer was lost, while it is pending and after its end."""
     assert bench.request(SAVE, 7)
     bench.core.lib.servo_background(bench.servo)
     assert bench.request(SAVE, 7)
@@ -446,7 +448,7 @@ def test_a_malformed_request_is_refused(bench: StorageBench, words: Sequence[int
     assert bench.hal.flash_commands == 0
 
 
-def test_one_request_at_a_time(bench: StorageBench) -> None:
+def test_a_second_request_is_refused_while_one_is_pending(bench: StorageBench) -> None:
     assert bench.request(SAVE)
     assert not bench.request(FACTORY)
     assert bench.refusal() == "BUSY"
@@ -468,7 +470,7 @@ def test_nothing_is_written_while_an_axis_is_not_at_rest(bench: StorageBench) ->
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 100, COMMANDS])
-def test_an_axis_that_is_enabled_meanwhile_starts_and_the_old_set_stays(bench: StorageBench, step: int) -> None:
+def test_an_axis_enabled_during_a_save_starts_and_the_old_set_remains(bench: StorageBench, step: int) -> None:
     _, newer, _ = two_sets(bench)
     bench.hal.flash_polls = 40
     bench.change(60.0, 9)
@@ -510,7 +512,7 @@ def test_failed_verification_of_the_flash_is_reported(bench: StorageBench, wrong
     assert bench.values() == newer
 
 
-def test_a_board_without_data_flash_says_so(bench: StorageBench) -> None:
+def test_a_board_without_data_flash_reports_it(bench: StorageBench) -> None:
     bench.hal.flash_absent = True
     bench.core.lib.servo_init(bench.servo, bench.hal)
     bench.to_stop()
@@ -519,8 +521,8 @@ def test_a_board_without_data_flash_says_so(bench: StorageBench) -> None:
     assert bench.refusal() == "ABSENT"
 
 
-def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> None:
-    """Its tables lie in the data flash. It takes bytes, and has its turn between two commands; the loops go on."""
+def test_the_server_waits_during_a_flash_command(bench: StorageBench) -> None:
+    """The tables of the server are in the data flash: it receives bytes, and answers between two flash commands."""
     bench.hal.flash_polls = 10
     assert bench.request(SAVE)
     bench.core.lib.servo_background(bench.servo)
@@ -528,7 +530,7 @@ def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> N
     for _ in range(9):
         bench.core.lib.servo_background(bench.servo)
         assert bench.hal.serial_out_size == 0
-    assert bench.hal.serial_in_taken == bench.hal.serial_in_size > 0, "all of it has been fetched"
+    assert bench.hal.serial_in_taken == bench.hal.serial_in_size > 0, "all bytes have been fetched"
     tick = bench.servo.snapshot.tick
     bench.slow(2)
     assert bench.hal.serial_out_size > 0

@@ -1,4 +1,4 @@
-"""The structures that the table describes are those of the compiler: a client may take the blocks apart by it."""
+"""The structures described in the table agree with the compiler, so a client can decode the blocks."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def found(core: Core) -> Any:
     return structures(core)
 
 
-def test_members_are_where_the_compiler_puts_them(core: Core, found: dict[str, tuple[int, dict[str, Member]]]) -> None:
+def test_members_have_the_offsets_of_the_compiler(core: Core, found: dict[str, tuple[int, dict[str, Member]]]) -> None:
     assert set(found) == {"snapshot_t", "axis_snapshot_t", "fault_record_t"}
     for name, (size, members) in found.items():
         fields = {key: field for key, field in core.ffi.typeof(name).fields if key != "unused"}
@@ -61,7 +61,7 @@ def test_members_are_where_the_compiler_puts_them(core: Core, found: dict[str, t
             assert inner is None or member.size % inner[0] == 0
 
 
-def test_blocks_have_these_types(core: Core, found: dict[str, tuple[int, dict[str, Member]]]) -> None:
+def test_blocks_have_the_documented_types(core: Core, found: dict[str, tuple[int, dict[str, Member]]]) -> None:
     types = {name.decode(): (type_.decode("latin-1"), it.size) for name, type_, it in rows(core) if it.kind != 0}
     for variable in CATALOGUE.variables.values():
         if variable.type == "block":

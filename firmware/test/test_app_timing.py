@@ -1,4 +1,4 @@
-"""The timing diagram of DRM F34 as the order of calls, and the snapshot that comes out of a tick."""
+"""The timing diagram of DRM F34 as the order of calls, and the snapshot of a tick."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def test_m2_runs_the_fast_loop_of_motor_2_then_the_slow_loop_of_motor_1(bench: B
     assert parts(bench.calls()) == [("fast", M2), ("slow", M1)]
 
 
-def test_other_slots_run_behind_the_fast_loops_too(bench: Bench, core: Core) -> None:
-    """A quarter of a slow tick after the slow loops the axes are estimated, after half of it they are watched.
+def test_other_slots_also_run_after_the_fast_loops(bench: Bench, core: Core) -> None:
+    """The estimates run a quarter of a slow tick after the slow loops, the monitors after half of it.
 
-    Each in the other one's interrupt, where its offsets have just been sampled.
+    Each axis in the interrupt of the other axis, after its offsets have been sampled.
     """
     bench.to_spin(M1, M2)
     for period in range(1, 8):
@@ -52,7 +52,7 @@ def test_other_slots_run_behind_the_fast_loops_too(bench: Bench, core: Core) -> 
         assert parts(bench.calls()) == [("fast", M1), *looked[0], ("fast", M2), *looked[1], *served]
 
 
-def test_a_fast_loop_says_when_its_duties_are_written(bench: Bench, core: Core) -> None:
+def test_a_fast_loop_signals_when_its_duties_are_written(bench: Bench, core: Core) -> None:
     bench.to_spin(M1, M2)
     before = list(bench.hal.duties_done)
     core.lib.probe_run(bench.servo, 5)
@@ -60,7 +60,7 @@ def test_a_fast_loop_says_when_its_duties_are_written(bench: Bench, core: Core) 
 
 
 def test_captured_edge_is_read_before_the_next_is_armed(bench: Bench, core: Core) -> None:
-    """Clearing the flags first would throw away a capture whose interrupt is still pending."""
+    """Clearing the flags first would discard a capture whose interrupt is pending."""
     bench.to_spin(M1)
     core.lib.probe_run(bench.servo, 7)
     bench.log()
@@ -72,7 +72,7 @@ def test_captured_edge_is_read_before_the_next_is_armed(bench: Bench, core: Core
 
 
 def test_counter_is_read_before_the_index(bench: Bench, core: Core) -> None:
-    """The other way round, the pulse of a wrap that the count already shows could be missed."""
+    """In the reverse order the index pulse of a counted wrap could be missed."""
     bench.to_spin(M1)
     core.lib.probe_run(bench.servo, 7)
     core.lib.servo_m1_isr(bench.servo)
@@ -82,8 +82,8 @@ def test_counter_is_read_before_the_index(bench: Bench, core: Core) -> None:
     assert order == ["encoder_count", "index_count"]
 
 
-def test_edge_interrupt_takes_the_edge_and_the_slow_loop_uses_it(bench: Bench, core: Core) -> None:
-    """The same speed whether the interrupt or the slow loop took the capture."""
+def test_edge_interrupt_reads_the_edge_and_the_slow_loop_uses_it(bench: Bench, core: Core) -> None:
+    """The speed does not depend on whether the interrupt or the slow loop reads the capture."""
     speeds = []
     for interrupt in (False, True):
         b = Bench(core)
@@ -102,7 +102,7 @@ def test_edge_interrupt_takes_the_edge_and_the_slow_loop_uses_it(bench: Bench, c
 
 
 def test_phase_pair_is_chosen_with_the_duties(bench: Bench, core: Core) -> None:
-    """The conversions of the next period are those of the sector that is loaded now."""
+    """The conversions of the next period belong to the sector of the duties loaded now."""
     bench.to_spin(M1)
     bench.hal.axis[0].current_code[0] = 2100
     bench.log()
@@ -150,7 +150,7 @@ def test_the_tick_wraps_without_a_change_of_state(bench: Bench, core: Core) -> N
 
 
 def test_snapshot_is_taken_after_both_slow_loops(bench: Bench, core: Core) -> None:
-    """Both axes show the values of the same tick, and nothing changes until the next."""
+    """Both axes have the values of the same tick, unchanged until the next tick."""
     bench.to_spin(M1, M2)
     bench.shaft[M1].move(12)
     bench.shaft[M2].move(-7)
@@ -168,8 +168,8 @@ def test_snapshot_is_taken_after_both_slow_loops(bench: Bench, core: Core) -> No
     assert bytes(core.ffi.buffer(core.ffi.addressof(bench.servo, "snapshot"))) == copy
 
 
-def test_same_inputs_same_outputs(core: Core) -> None:
-    """Bit for bit, from two boards in one process."""
+def test_same_inputs_give_the_same_outputs(core: Core) -> None:
+    """Bit-identical results of two boards in one process."""
     snapshots = []
     boards = [Bench(core), Bench(core)]
     for bench in boards:

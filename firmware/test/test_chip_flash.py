@@ -1,4 +1,4 @@
-"""The data flash of the MC56F84789 port: what goes to the controller, and what comes back."""
+"""The data flash of the MC56F84789 port: commands to the controller and their results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_a_word_is_read_low_half_first(board: FakeBoard) -> None:
 
 @pytest.mark.parametrize("sector", range(4))
 def test_an_erase_names_the_first_byte_of_its_sector(board: FakeBoard, sector: int) -> None:
-    """Bit 23 of the address: data flash, from its beginning."""
+    """Bit 23 of the address selects the data flash."""
     board.lib.hal_flash_erase(board.hal, sector)
     byte = (28 + sector) * 1024
     assert board.writes == [(STAT, RDCOLERR | ACCERR | FPVIOL), (COMMAND, 0x0980), (ADDRESS, byte), (STAT, CCIF)]
@@ -56,7 +56,7 @@ def test_a_word_is_programmed_at_its_byte(board: FakeBoard, word: int) -> None:
         (0x0200 | CCIF, DONE),
     ],
 )
-def test_the_result_of_a_command(board: FakeBoard, status: int, result: int) -> None:
+def test_status_flags_give_the_result_of_a_command(board: FakeBoard, status: int, result: int) -> None:
     board[STAT] = status
     assert board.lib.hal_flash_result(board.hal) == result
 

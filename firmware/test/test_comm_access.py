@@ -1,4 +1,4 @@
-"""Target-side addressing: what may be read and written, and what the application is told about it."""
+"""Target-side addressing: read and write access, and the notifications of the application."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write(offset: int, data: bytes, mask: bytes | None = None) -> bytes:
 
 
 def test_table_read_out_gives_every_entry(servo: Board) -> None:
-    """As a client does it: table list, entries, string lengths, strings."""
+    """In the order of a client: table list, entries, string lengths, strings."""
     info = servo.ask(TSA_INFO, b"\x00").data
     assert info == b"\x13" + uleb(16 * len(ENTRIES)) + uleb(SERVO.table)
     assert servo.ask(TSA_INFO, b"\x01") == Answer(0x40, b"\x13\x00\x00")
@@ -40,12 +40,12 @@ def test_table_read_out_gives_every_entry(servo: Board) -> None:
             address = int.from_bytes(pointer, "little")
             assert servo.ask(STRING_LENGTH, uleb(address)) == Answer(0x40, uleb(len(text)))
             assert servo.ask(READ, uleb(address) + uleb(len(text))) == Answer(0, text)
-            assert servo.ask(READ, uleb(address) + uleb(len(text) + 1)) == DENIED, "not the 00"
+            assert servo.ask(READ, uleb(address) + uleb(len(text) + 1)) == DENIED, "without the terminating 00"
 
 
 @pytest.mark.parametrize("code", [TSA_INFO, STRING_LENGTH])
 @pytest.mark.parametrize("payload", [b"", b"\x80", b"\x80\x80"])
-def test_discovery_with_missing_fields(servo: Board, code: int, payload: bytes) -> None:
+def test_discovery_requests_with_missing_fields_are_refused(servo: Board, code: int, payload: bytes) -> None:
     assert servo.ask(code, payload) == Answer(0x86)
 
 
@@ -57,7 +57,7 @@ def test_string_length_inside_and_outside_of_the_strings(servo: Board) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 2**32 - 1, 2**31, 0xFFFF_F000, 2**16, 2**16 + 2])
-def test_sizes_that_would_wrap(servo: Board, size: int) -> None:
+def test_sizes_beyond_the_address_range_are_refused(servo: Board, size: int) -> None:
     expected = Answer(0) if size == 0 else DENIED
     assert servo.ask(READ, at(0x20) + uleb(size)) == expected
     assert servo.ask(WRITE, b"\x00" + at(0x20) + uleb(size) + bytes(16)) == expected
@@ -105,7 +105,7 @@ def test_only_whole_writable_entries_are_written(servo: Board, offset: int, size
         (b"\x00" * 8, b"\xa0" * 8, None),
     ],
 )
-def test_masked_write_reports_what_it_wrote(
+def test_masked_write_reports_the_written_range(
     servo: Board, mask: bytes, expected: bytes, reported: tuple[int, int] | None
 ) -> None:
     """The other element of an array must not count as freshly written."""
@@ -117,7 +117,7 @@ def test_masked_write_reports_what_it_wrote(
 
 
 def test_a_mask_of_zeros_writes_nothing(servo: Board) -> None:
-    """Even when more zeros follow it."""
+    """Also when more zeros follow."""
     before = servo.memory()
     assert servo.ask(WRITE, write(0x58, b"\x11" * 8, bytes(8)) + bytes(8)) == Answer(0)
     assert servo.write(SERVO.variables + 0x58, b"\x11" * 8, bytes(16)) == 0
@@ -133,8 +133,8 @@ def test_a_write_refused_by_the_application_changes_nothing(servo: Board, mask: 
     assert servo.write(SERVO.variables + 0x58, b"\x11" * 8, mask) == 0x97
     assert servo.memory() == before
     assert servo.events() == [("lock", 0, 0), ("unlock", 0, 0)] * 2
-    assert servo.ask(WRITE, write(0x58, b"\x11" * 8, bytes(8))) == Answer(0), "nothing to be asked for"
-    assert servo.ask(WRITE, write(0x2A, b"\x11")) == DENIED, "the table comes first"
+    assert servo.ask(WRITE, write(0x58, b"\x11" * 8, bytes(8))) == Answer(0), "the application is not called"
+    assert servo.ask(WRITE, write(0x2A, b"\x11")) == DENIED, "the table is checked first"
     assert servo.events() == []
     servo.set_refusing(False)
     assert servo.ask(WRITE, write(0x58, b"\x11" * 8, mask)) == Answer(0)
@@ -153,10 +153,10 @@ def test_write_with_missing_bytes_changes_nothing(servo: Board, mask: bytes | No
         assert servo.ask(WRITE, complete[:-cut]) == Answer(0x86)
     assert servo.memory() == before
     assert servo.events() == []
-    assert servo.ask(WRITE, complete + b"more").status == 0, "bytes behind the fields are ignored"
+    assert servo.ask(WRITE, complete + b"more").status == 0, "bytes after the fields are ignored"
 
 
-def test_read_with_missing_fields(servo: Board) -> None:
+def test_read_with_missing_fields_is_refused(servo: Board) -> None:
     for code in (READ, READ_BA):
         for payload in (b"", b"\x80", b"\x80\x80\x80", at(0x20), at(0x20) + b"\x82"):
             assert servo.ask(code, payload) == Answer(0x86)
@@ -170,7 +170,7 @@ def test_reading_locks_the_server_once(servo: Board) -> None:
 def test_direct_access_follows_the_same_rules(servo: Board) -> None:
     memory = servo.memory()
     base = SERVO.variables
-    assert servo.read(base + 0x100, 300) == (0, memory[0x100 : 0x100 + 300]), "no limit of a frame"
+    assert servo.read(base + 0x100, 300) == (0, memory[0x100 : 0x100 + 300]), "not limited by a frame"
     assert servo.read(SERVO.table, 16 * len(ENTRIES)) == (0, SERVO.wire_table())
     assert servo.read(SERVO.strings, 9) == (0, b"M.var_u16")
     assert servo.read(base + 0x42, 2)[0] == 0x89

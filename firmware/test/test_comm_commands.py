@@ -45,13 +45,13 @@ def test_an_unknown_key_is_refused(servo: Board, key: bytes) -> None:
 
 
 @pytest.mark.parametrize("index", [-1, -64, 12, 13, 255, 256 + 1, 65536 + 1, 2**31 - 1, -(2**31)])
-def test_indices_outside_of_the_list(servo: Board, index: int) -> None:
+def test_indices_outside_of_the_list_are_refused(servo: Board, index: int) -> None:
     assert servo.ask(CONFIG, sleb(index)) == Answer(0x89)
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x80", b"\x00", b"\x00MTU", b"\x00M"])
-def test_incomplete_configuration_requests(servo: Board, payload: bytes) -> None:
-    servo.ask(CONFIG, b"\x00MTU\0")  # what an older message has left must not complete it
+def test_incomplete_configuration_requests_are_refused(servo: Board, payload: bytes) -> None:
+    servo.ask(CONFIG, b"\x00MTU\0")  # remaining bytes of an older message must not complete it
     assert servo.ask(CONFIG, payload) == Answer(0x86)
 
 
@@ -76,7 +76,7 @@ def test_scope_of_28_slots_in_one_answer(servo: Board) -> None:
     servo.events()
     memory = servo.memory()
     assert servo.ask(READ_SCOPE, b"\x00") == Answer(0, memory[0x100 : 0x100 + 224])
-    assert servo.events() == [("lock", 0, 0), ("unlock", 0, 0)], "all slots under one lock: of one moment"
+    assert servo.events() == [("lock", 0, 0), ("unlock", 0, 0)], "all slots are read under one lock"
 
 
 def test_scope_delivers_new_values(servo: Board) -> None:
@@ -90,7 +90,7 @@ def test_slots_never_set_give_no_bytes(servo: Board) -> None:
     assert servo.ask(SET_SCOPE, b"\x00" + slots(3) + slot(1, 0x20, 2)) == OK
     assert servo.ask(READ_SCOPE, b"\x00") == Answer(0, servo.memory()[0x20:0x22])
     assert servo.ask(SET_SCOPE, b"\x00" + slots(3)) == OK
-    assert servo.ask(READ_SCOPE, b"\x00") == OK, "a reset forgets the slots"
+    assert servo.ask(READ_SCOPE, b"\x00") == OK, "a reset clears the slots"
     assert servo.ask(SET_SCOPE, b"\x00" + slots(0)) == OK
     assert servo.ask(READ_SCOPE, b"\x00") == Answer(0x88)
 
@@ -99,10 +99,10 @@ def test_slots_never_set_give_no_bytes(servo: Board) -> None:
     ("operations", "status"),
     [
         (b"", 0x00),
-        (b"\x01", 0x00),  # a single left-over byte is ignored
+        (b"\x01", 0x00),  # a single extra byte is ignored
         (slots(29), 0x86),
         (b"\x01\x00", 0x86),
-        (b"\x01\x03\x01\xff\xff", 0x00),  # bytes behind the count are ignored
+        (b"\x01\x03\x01\xff\xff", 0x00),  # bytes after the count are ignored
         (slot(2, 0x20, 2), 0x85),
         (slot(2, 0x20, 3), 0x85),  # the slot is checked before the size
         (b"\x02\x01\x07", 0x85),
@@ -168,7 +168,7 @@ def test_result_data_are_read_in_parts(servo: Board) -> None:
         assert servo.ask(DATA, payload) == Answer(0x86)
 
 
-def test_result_data_of_an_older_command_are_gone(servo: Board) -> None:
+def test_result_data_of_an_older_command_are_discarded(servo: Board) -> None:
     servo.ask(SEND, b"\x11\x01\x02\x03")
     servo.ask(STATUS)
     servo.ask(SEND, b"\x05")
@@ -188,25 +188,25 @@ def test_missing_or_too_many_arguments_are_refused(servo: Board) -> None:
 
 
 def test_reserved_result_codes_are_not_passed_on(servo: Board) -> None:
-    assert servo.ask(SEND, b"\xff") == Answer(0x81), "would look pending for ever"
+    assert servo.ask(SEND, b"\xff") == Answer(0x81), "would look like a pending command"
     for code, result in ((0xF7, 0xF7), (0xF8, 0xF7), (0xFD, 0xF7)):
         assert servo.ask(SEND, bytes([code])) == OK
-        assert servo.ask(STATUS) == Answer(0, bytes([result])), "reserved results do not leave the server"
+        assert servo.ask(STATUS) == Answer(0, bytes([result])), "reserved results are not sent"
 
 
 LATER = b"\xfe"
-"""A command that the application of the harness does not finish by itself."""
+"""A command that the application of the harness finishes only on request."""
 
 
-def test_command_that_finishes_later(servo: Board) -> None:
+def test_command_can_be_finished_later(servo: Board) -> None:
     servo.ask(SEND, b"\x11\x01")
     servo.ask(STATUS)
     servo.finish(0x21)
-    assert servo.ask(STATUS) == Answer(0, b"\x42"), "none is under way"
+    assert servo.ask(STATUS) == Answer(0, b"\x42"), "no command is pending"
     assert servo.ask(SEND, LATER + b"\x07") == OK
     servo.finish(0x21, b"early")
     for _ in range(3):
-        assert servo.ask(STATUS) == Answer(0, b"\xfe"), "not begun by finishing it"
+        assert servo.ask(STATUS) == Answer(0, b"\xfe"), "finishing does not start a command"
         assert servo.ask(SEND, b"\x11") == servo.ask(DATA, b"\x01\x00") == Answer(0x87)
     assert [event for event in servo.events() if event[0] == "command"] == [("command", 0x11, 1), ("command", 0xFE, 1)]
     servo.finish(0x21, b"done")
@@ -219,7 +219,7 @@ def test_command_that_finishes_later(servo: Board) -> None:
 
 
 @pytest.mark.parametrize(("code", "result", "answered"), [(0xFE, b"", 0xF7), (0xFF, b"", 0xF7), (0, bytes(40), 0)])
-def test_valid_results_of_a_later_finish(servo: Board, code: int, result: bytes, answered: int) -> None:
+def test_result_codes_of_a_later_finish_are_checked(servo: Board, code: int, result: bytes, answered: int) -> None:
     servo.ask(SEND, LATER)
     servo.ask(STATUS)
     servo.finish(code, result)

@@ -1,4 +1,4 @@
-"""Byte examples observed on vendor targets, sent to the server in their order."""
+"""Frames recorded from vendor targets, sent to the server in order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from freemaster_model import ENTRIES, parse_answer, request, uleb
 
 
 def dialogue(board: Board, text: str) -> None:
-    """Play lines of ``request -> answer`` in hexadecimal."""
+    """Send requests of lines ``request -> answer`` (hexadecimal) and compare the answers."""
     for line in filter(None, map(str.strip, text.splitlines())):
         sent, _, expected = line.partition("->")
         received = board.send(bytes.fromhex(sent))
@@ -73,7 +73,7 @@ def test_scope_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
     )
 
 
-def test_target_side_addressing(sheet: Board) -> None:
+def test_table_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
     """The example's table has 24 entries."""
     info = parse_answer(sheet.send(bytes.fromhex("2B 29 01 00 6C")))
     assert info.data == bytes.fromhex("13 80 03 E0 A1 80 80 02").replace(uleb(16 * 24), uleb(16 * len(ENTRIES)))
@@ -107,7 +107,7 @@ def test_command_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
         "2B 33 03 01 00 01 A6",  # FEATLOCK
     ],
 )
-def test_features_that_this_server_does_not_have(sheet: Board, frame: str) -> None:
+def test_unsupported_features_are_refused(sheet: Board, frame: str) -> None:
     dialogue(sheet, f"{frame} -> 2B 81 8E")
 
 

@@ -1,4 +1,4 @@
-"""Receiver and transmitter: start byte, doubling, checksum, sizes, and what happens between requests."""
+"""Receiver and transmitter: start byte, doubling, checksum, sizes, behaviour between requests."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_noise_before_a_frame_is_ignored(servo: Board) -> None:
     assert servo.send(b"\x00\xff\x21\x02" + MTU_REQUEST) == mtu_answer(servo)
 
 
-def test_idle_double_start_loses_the_frame_in_silence(servo: Board) -> None:
+def test_double_start_byte_discards_the_frame_without_an_answer(servo: Board) -> None:
     assert servo.send(b"\x2b" + MTU_REQUEST) == b""
     assert servo.send(b"\x2b\x2b" + MTU_REQUEST) == mtu_answer(servo)
 
@@ -37,7 +37,7 @@ def test_new_start_aborts_an_unfinished_frame(servo: Board) -> None:
     assert servo.statistics().aborted == len(MTU_REQUEST) - 2
 
 
-def test_gap_inside_a_frame_does_not_matter(servo: Board) -> None:
+def test_gap_inside_a_frame_is_tolerated(servo: Board) -> None:
     for byte in MTU_REQUEST[:-1]:
         assert servo.send(bytes([byte])) == b""
         assert servo.poll() == b""
@@ -115,7 +115,7 @@ def test_the_smallest_buffer_answers_short_requests(new_board: Callable[[Layout]
     assert board.violations() == 0
 
 
-def test_every_field_can_be_2b(servo: Board) -> None:
+def test_every_field_may_contain_2b(servo: Board) -> None:
     """Length, payload and checksum of 2B, in both directions."""
     address = large(servo)
     assert servo.ask(0x23, b"\x00" + uleb(address) + uleb(38) + b"\x2b" * 38).status == 0
@@ -142,7 +142,7 @@ def test_slow_transmitter_gets_every_byte_once(servo: Board) -> None:
     assert servo.poll() == b""
 
 
-def test_requests_while_an_answer_is_due_are_dropped(servo: Board) -> None:
+def test_requests_are_discarded_while_an_answer_is_pending(servo: Board) -> None:
     servo.set_put_room(2)
     sent = servo.send(MTU_REQUEST + MTU_REQUEST)
     for _ in range(8):
@@ -154,7 +154,7 @@ def test_requests_while_an_answer_is_due_are_dropped(servo: Board) -> None:
     assert servo.send(MTU_REQUEST) == mtu_answer(servo)
 
 
-def test_dropping_does_not_depend_on_the_depth_of_the_transmitter(servo: Board) -> None:
+def test_discarding_requests_does_not_depend_on_the_depth_of_the_transmitter(servo: Board) -> None:
     assert servo.send(MTU_REQUEST * 3) == mtu_answer(servo)
     assert servo.poll() == b""
     assert servo.statistics().bytes_lost == 2 * len(MTU_REQUEST)
@@ -168,8 +168,8 @@ def test_statistics_count_refused_requests(servo: Board) -> None:
 
 @given(data=st.binary(min_size=1, max_size=120), chunks=st.lists(st.integers(1, 7), max_size=40))
 @examples(150)
-def test_any_bytes_travel_both_ways(shared_servo: Board, data: bytes, chunks: list[int]) -> None:
-    """Written in pieces of any size and read back: nothing is lost to doubling."""
+def test_any_bytes_are_transferred_in_both_directions(shared_servo: Board, data: bytes, chunks: list[int]) -> None:
+    """Data written in parts of any size are read back unchanged in spite of doubled bytes."""
     board = shared_servo
     wire = request(0x23, b"\x00" + uleb(large(board)) + uleb(len(data)) + data)
     sent = b""

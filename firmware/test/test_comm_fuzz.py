@@ -1,7 +1,7 @@
-"""Hostile input to a server built with sanitizers: it never crashes and writes only what may be written.
+"""Random input to a server built with sanitizers: no crash, and writes to writable variables only.
 
-``freemaster_fuzz.c`` checks answers and memory. Its inputs are those of this file, those of the corpus, and what
-libFuzzer finds in some seconds where there is one.
+``freemaster_fuzz.c`` checks answers and memory. Its inputs are those of this file, of the corpus, and those that
+libFuzzer generates in some seconds, if it is installed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CODES = (
 
 
 class Server:
-    """Servers in a process of its own, so that a sanitizer may end it."""
+    """Servers in a separate process, which a sanitizer may end."""
 
     def __init__(self, program: Path, errors: IO[bytes]) -> None:
         self._errors = errors
@@ -46,7 +46,7 @@ class Server:
         return self._process.returncode
 
     def run(self, data: bytes) -> bytes:
-        """Input of the fuzzer to a new server; returns what it has sent after the last step."""
+        """Send an input of the fuzzer to a new server; return the bytes sent after the last step."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(struct.pack("<H", len(data)) + data)
@@ -62,7 +62,7 @@ class Server:
         data = b""
         while len(data) < size:
             ready, _, _ = select.select([pipe], [], [], TIME_LIMIT)
-            assert ready, "the server hangs"
+            assert ready, "the server does not respond"
             part = os.read(pipe, size - len(data))
             if not part:
                 self._fail()
@@ -71,7 +71,7 @@ class Server:
 
     def _fail(self) -> NoReturn:
         self._errors.seek(0)
-        raise AssertionError(f"the server has died:\n{self._errors.read().decode(errors='replace')}")
+        raise AssertionError(f"the server process has ended:\n{self._errors.read().decode(errors='replace')}")
 
 
 @pytest.fixture(scope="module")
@@ -161,11 +161,11 @@ def damage(frames: bytes, places: list[tuple[int, int]]) -> bytes:
 
 
 def raw(data: bytes) -> bytes:
-    """Steps that put bytes on the line one by one, so that every frame among them is answered, each with a sample."""
+    """Steps that send bytes one by one, so that every contained frame is answered; each step with a sample."""
     return b"".join(bytes([0, 1, byte, 4, 2, 0, 1]) for byte in data)
 
 
-SAMPLES = bytes([4, 32]) + bytes([0, 1] * 16)  # the loops go on between two frames
+SAMPLES = bytes([4, 32]) + bytes([0, 1] * 16)  # the loops run between two frames
 
 
 def frames(commands: list[tuple[int, bytes]]) -> bytes:
@@ -199,7 +199,7 @@ def test_the_second_request_after_damaged_ones_is_answered(
     server: Server, commands: list[tuple[int, bytes]], places: list[tuple[int, int]]
 ) -> None:
     damaged = damage(b"".join(request(code, payload) for code, payload in commands), places)
-    # Two requests bring any receiver back: the first may be taken for the rest of a frame.
+    # Two requests resynchronise the receiver: the first may be read as the rest of a frame.
     sent = server.run(b"\0" + raw(damaged) + frames([(0x20, b"\x01")] * 2))
     assert parse_answer(sent).data == b"MTU\0" + uleb(SERVO.mtu)
 
@@ -212,10 +212,10 @@ def test_an_input_of_the_corpus_breaks_no_rule(server: Server, name: str) -> Non
 def test_inputs_made_by_hand_are_in_the_corpus() -> None:
     assert {path.name for path in CORPUS.iterdir()} >= freemaster_fuzz.seeds().keys()
     for name, data in freemaster_fuzz.seeds().items():
-        assert (CORPUS / name).read_bytes() == data, "freemaster_fuzz.py --seeds writes them"
+        assert (CORPUS / name).read_bytes() == data, "run freemaster_fuzz.py --seeds"
 
 
-def test_fuzzer_finds_nothing(tmp_path: Path) -> None:
+def test_fuzzer_finds_no_error(tmp_path: Path) -> None:
     try:
         target = freemaster_fuzz.build(tmp_path)
     except OSError:

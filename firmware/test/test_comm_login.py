@@ -1,4 +1,4 @@
-"""Passwords: who may read, write and tune, and how a client proves that it knows one."""
+"""Passwords: access levels for reading, writing and tuning, and the proof of a password by a client."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COMMANDED, TUNED, READ_ONLY = 0x20, 0x100, 0x2A  # offsets in the memory of the 
 
 
 def key_for(salt: bytes, password: bytes) -> bytes:
-    """What proves the password."""
+    """Key that proves the password."""
     return hashlib.sha1(salt + hashlib.sha1(password).digest() + salt).digest()
 
 
@@ -47,7 +47,7 @@ def log_in(board: Board, level: int, password: bytes) -> Answer:
 
 
 def may(board: Board) -> int:
-    """Level that the client finds it has."""
+    """Present access level of the client."""
     at = [uleb(SERVO.variables + offset) + b"\x01" for offset in (COMMANDED, COMMANDED, TUNED)]
     answers = [board.ask(READ, at[0]), *(board.ask(WRITE, b"\x00" + place + b"\x05") for place in at[1:])]
     allowed = [reply.status == 0 for reply in answers]
@@ -57,7 +57,7 @@ def may(board: Board) -> int:
     return sum(allowed)
 
 
-def test_without_passwords_everything_is_open(servo: Board) -> None:
+def test_without_passwords_every_access_is_permitted(servo: Board) -> None:
     assert may(servo) == 3
     assert servo.ask(AUTH1, b"\x01") == UNKNOWN
     assert servo.ask(AUTH2, bytes(21)) == UNKNOWN
@@ -77,7 +77,7 @@ def test_exchange_byte_by_byte(servo: Board) -> None:
 
 
 @pytest.mark.parametrize("passwords", SETS)
-def test_every_level_with_every_password(servo: Board, passwords: list[bytes | None]) -> None:
+def test_level_reached_with_each_password(servo: Board, passwords: list[bytes | None]) -> None:
     servo.set_passwords(*passwords)
     guarded = next(level for level in (1, 2, 3) if passwords[level - 1] is not None)
     assert servo.ask(0x20, b"\x00F1\0").data == b"F1\0" + bytes([0x02 | guarded << 4])
@@ -88,11 +88,11 @@ def test_every_level_with_every_password(servo: Board, passwords: list[bytes | N
             assert log_in(servo, level, password) == Answer(0, bytes([min(best, level)]))
             assert may(servo) == min(best, level)
             assert log_in(servo, level, b"wrong") == WRONG
-            assert may(servo) == guarded - 1, "what was granted before is lost"
+            assert may(servo) == guarded - 1, "the earlier level is lost"
 
 
 def needed(passwords: list[bytes | None], level: int) -> bytes | None:
-    """The level's own password or that of the next lower one."""
+    """Password of the level, or of the next lower level."""
     return next((text for text in reversed(passwords[:level]) if text is not None), None)
 
 
@@ -119,8 +119,8 @@ def test_password_comes_before_the_table_and_the_table_before_tuning(servo: Boar
     assert [event[0] for event in servo.events()].count("written") == 0
 
 
-def test_commands_that_need_no_password(servo: Board) -> None:
-    """As on the vendor's targets: who the board is, its table's list, the scope, application commands."""
+def test_some_commands_need_no_password(servo: Board) -> None:
+    """As on vendor targets: identification, table list, scope, application commands."""
     servo.set_passwords(b"v", None, None)
     slot = b"\x00\x01\x01\x01\x02\x05\x00" + uleb(SERVO.variables + COMMANDED) + b"\x02"
     slot = slot[:5] + bytes([len(slot) - 6]) + slot[6:]
@@ -129,11 +129,11 @@ def test_commands_that_need_no_password(servo: Board) -> None:
     assert servo.ask(0x27, b"\x00").data == servo.memory()[COMMANDED : COMMANDED + 2]
     assert servo.ask(0x30, b"\x05") == OK
     assert servo.ask(READ, uleb(SERVO.table) + b"\x10") == NEEDED
-    assert servo.read(SERVO.variables + COMMANDED, 2)[0] == 0, "not over the line"
+    assert servo.read(SERVO.variables + COMMANDED, 2)[0] == 0, "not by the serial line"
     assert servo.write(SERVO.variables + TUNED, b"\x01") == 0
 
 
-def test_salt_is_good_for_one_challenge(servo: Board) -> None:
+def test_salt_is_valid_for_one_challenge(servo: Board) -> None:
     servo.set_passwords(b"v", None, None)
     assert servo.ask(AUTH2, b"\x01" + key_for(bytes(16), b"v")) == WRONG, "no challenge yet"
     proof = b"\x01" + key_for(challenge(servo, 1), b"v")
@@ -145,7 +145,7 @@ def test_salt_is_good_for_one_challenge(servo: Board) -> None:
     assert servo.ask(AUTH2, proof) == WRONG, "a key of an older salt"
 
 
-def test_level_0_is_a_question_that_changes_nothing(servo: Board) -> None:
+def test_request_of_level_0_does_not_change_the_level(servo: Board) -> None:
     servo.set_passwords(b"v", None, None)
     log_in(servo, 3, b"v")
     assert servo.ask(AUTH2, bytes(21)) == Answer(0, b"\x00")
@@ -166,27 +166,27 @@ ACTION = st.tuples(st.integers(0, 4), st.sampled_from([b"v", b"c", b"t", b"same"
 
 @given(passwords=st.sampled_from(SETS), actions=st.lists(ACTION, max_size=12))
 @examples(150)
-def test_any_sequence_against_the_model(
+def test_any_sequence_agrees_with_the_model(
     shared_servo: Board, passwords: list[bytes | None], actions: list[tuple[int, bytes | None]]
 ) -> None:
     board = shared_servo
     board.set_passwords(*passwords)
     start = next(k for k in (1, 2, 3) if passwords[k - 1] is not None) - 1
     level, salt = start, None
-    for wanted, password in actions:
+    for requested, password in actions:
         if password is None:
-            reply = board.ask(AUTH1, bytes([wanted]))
-            open_ = wanted <= start
+            reply = board.ask(AUTH1, bytes([requested]))
+            open_ = requested <= start
             salt = None if open_ else reply.data[1:]
-            level = wanted if open_ else level
+            level = requested if open_ else level
             assert (reply.data == b"\x00") is open_
         else:
-            reply = board.ask(AUTH2, bytes([wanted]) + key_for(salt or bytes(16), password))
+            reply = board.ask(AUTH2, bytes([requested]) + key_for(salt or bytes(16), password))
             known = [k for k in (1, 2, 3) if needed(passwords, k) == password and salt is not None]
-            if wanted == 0:
+            if requested == 0:
                 assert reply == Answer(0, b"\x00")
             else:
-                level = min(max(known), wanted) if known else start
+                level = min(max(known), requested) if known else start
                 assert reply == (Answer(0, bytes([level])) if known else WRONG)
         assert board.level() == level
 

@@ -18,7 +18,7 @@ I32 = st.one_of(st.integers(-(2**31), 2**31 - 1), st.sampled_from([-1, -64, -65,
 
 
 class Numbers:
-    """Python face of the two C modules."""
+    """Python interface of the two C modules."""
 
     def __init__(self, ffi: cffi.FFI, lib: Any) -> None:
         self._ffi = ffi
@@ -31,7 +31,7 @@ class Numbers:
         return crc
 
     def get(self, data: bytes, kind: str) -> tuple[int, int]:
-        """Bytes used and value; exactly `data` may be read."""
+        """Number of used bytes and value; only `data` may be read."""
         value = self._ffi.new("uint32_t *" if kind == "unsigned" else "int32_t *", 12345)
         used = getattr(self._lib, f"leb128_get_{kind}")(data, len(data), value)
         return int(used), int(value[0])
@@ -93,7 +93,9 @@ def test_unsigned_round_trip(numbers: Numbers, value: int) -> None:
 
 @given(value=U32, padding=st.integers(0, 300), tail=st.binary(max_size=3))
 @examples(200)
-def test_padded_forms_and_what_follows(numbers: Numbers, value: int, padding: int, tail: bytes) -> None:
+def test_padded_forms_are_read_and_following_bytes_ignored(
+    numbers: Numbers, value: int, padding: int, tail: bytes
+) -> None:
     data = uleb(value, padding)
     assert numbers.get(data + tail, "unsigned") == (len(data), value)
 

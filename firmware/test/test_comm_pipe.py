@@ -1,4 +1,4 @@
-"""The console: text of the board for the client, byte-exact, without loss on a line that loses frames."""
+"""The console: text of the board for the client, byte-exact and complete on a line with lost frames."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def odd(ack: int = 0, data: bytes = b"") -> bytes:
 
 
 def test_exchange_byte_by_byte(servo: Board) -> None:
-    """With the frames of the protocol's examples, as far as nothing echoes here."""
+    """With the example frames of the protocol, without the echo."""
     assert servo.send(bytes.fromhex("2B 28 02 01 00 BD")) == bytes.fromhex("2B 40 02 01 00 58")
     servo.print(b"hello")
     assert servo.send(bytes.fromhex("2B 28 07 81 00 68 65 6C 6C 6F 72")) == bytes.fromhex(
@@ -35,7 +35,7 @@ def test_exchange_byte_by_byte(servo: Board) -> None:
     assert servo.send(bytes.fromhex("2B 28 02 09 00 15")) == bytes.fromhex("2B 8C AD")
 
 
-def test_repeated_request_acknowledges_nothing_and_takes_nothing(servo: Board) -> None:
+def test_repeated_request_acknowledges_and_accepts_nothing(servo: Board) -> None:
     servo.print(b"one ")
     first = Answer(0x40, b"\x01\x03one ")
     assert servo.ask(PIPE, even(0, b"abc")) == first
@@ -46,8 +46,8 @@ def test_repeated_request_acknowledges_nothing_and_takes_nothing(servo: Board) -
     assert servo.ask(PIPE, even(3)) == Answer(0x40, b"\x01\x00")
 
 
-def test_client_that_starts_in_the_middle(servo: Board) -> None:
-    """It sends an empty frame, whatever the board expects, and goes on with the other toggle."""
+def test_client_can_start_with_any_toggle(servo: Board) -> None:
+    """The client sends an empty frame with any toggle and continues with the other toggle."""
     servo.ask(PIPE, even())
     servo.print(b"text")
     assert servo.ask(PIPE, even()) == Answer(0x40, b"\x01\x00text")
@@ -60,13 +60,13 @@ def test_queue_is_filled_with_whole_texts(servo: Board) -> None:
     servo.print(b"c" * 36)
     text = b"a" * 60 + b"c" * 36
     assert servo.ask(PIPE, even()).data[2:] == text
-    assert servo.ask(PIPE, odd(255)).data[2:] == b"", "more than there was is all of it"
+    assert servo.ask(PIPE, odd(255)).data[2:] == b"", "a length above the available text returns all of it"
     servo.print(b"d" * (QUEUE + 1))
     assert servo.ask(PIPE, even()).data[2:] == b""
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x01", b"\x00\x00", b"\x80\x00", b"\x02\x00", b"\xff\x00"])
-def test_no_such_pipe(servo: Board, payload: bytes) -> None:
+def test_missing_pipe_is_reported(servo: Board, payload: bytes) -> None:
     assert servo.ask(PIPE, payload) == CLOSED
 
 
@@ -85,11 +85,11 @@ def test_no_such_pipe(servo: Board, payload: bytes) -> None:
         (b"", CLOSED),
     ],
 )
-def test_questions_about_pipes(servo: Board, payload: bytes, expected: Answer) -> None:
+def test_properties_of_the_pipes_are_reported(servo: Board, payload: bytes, expected: Answer) -> None:
     assert servo.ask(GET_PIPE, payload) == expected
 
 
-def test_text_goes_out_in_parts_that_fit(new_board: Callable[[Layout], Board]) -> None:
+def test_text_is_sent_in_parts_that_fit_the_frame(new_board: Callable[[Layout], Board]) -> None:
     board = new_board(TINY)
     text = bytes(range(0x30, 0x30 + 70))
     board.print(text)
@@ -101,9 +101,9 @@ def test_text_goes_out_in_parts_that_fit(new_board: Callable[[Layout], Board]) -
 
 @given(seed=st.integers(0, 2**32 - 1))
 @examples(60)
-def test_nothing_is_lost_or_doubled_when_answers_are(shared_servo: Board, seed: int) -> None:
+def test_no_text_is_lost_or_repeated_with_lost_answers(shared_servo: Board, seed: int) -> None:
     board, source = shared_servo, random.Random(seed)
-    board.set_passwords(None, None, None)  # starts anew
+    board.set_passwords(None, None, None)  # restarts
     printed, fetched = b"", b""
     port, received = 1, 0
     for turn in range(40):

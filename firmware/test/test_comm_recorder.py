@@ -1,4 +1,4 @@
-"""Recorders: the protocol's byte examples, triggers, and random exchanges against the model."""
+"""Recorders: byte examples of the protocol, triggers, and random exchanges against the model."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def run(board: Board, values: list[int], offset: int = 0xBC) -> None:
         board.sample(0)
 
 
-# ---- as the protocol says ------------------------------------------------------------------------------------------
+# ---- examples of the protocol ----------------------------------------------------------------------------------------
 
 
 def test_two_slots_of_the_byte_examples(sheet: Board) -> None:
@@ -101,16 +101,16 @@ def test_two_slots_of_the_byte_examples(sheet: Board) -> None:
         (-100, 2),
         (-101, 12),
         (-100, 40),
-    ):  # the first edge is in the first pass: it is none
+    ):  # no edge in the first sample
         assert status(sheet) == 2
         sheet.poke(0x3C, struct.pack("<h", value))
         sheet.sample(0, times)
-    # 33 points, the one that fires, and 14 behind it: 48 in all, the oldest is at 8 of 20.
+    # 33 points, the trigger, and 14 after it: 48 in total; the oldest is at 8 of 20.
     assert query(sheet, INFO) == bytes.fromhex("04 02 80 C1 80 80 02 06 14 08")
     assert [word for _, word in points(sheet, "<Ih")] == [-101] * 5 + [-100] * 15
 
 
-def test_the_other_byte_examples(sheet: Board) -> None:
+def test_trigger_examples_of_the_protocol(sheet: Board) -> None:
     """A float is refused; a signed edge below the variable at 0x66."""
     all_in_one = (
         "2B 24 23 00 01 04 02 08 03 00 02 09 00 B8 80 80 80 02 04 00 00 02 0D 01 EC 80 80 80 02 04 17 80 80 A2 96 04"
@@ -151,7 +151,7 @@ def test_properties_of_the_recorders(servo: Board) -> None:
 def test_a_trigger_fires_at_the_crossing_that_its_mode_selects(
     servo: Board, mode: int, threshold: bytes, first: int | None
 ) -> None:
-    """A ramp from -5 to 14, again and again; from the tenth point on, with the memory full, a trigger may fire."""
+    """A repeated ramp from -5 to 14; a trigger may fire from the tenth point, when the memory is full."""
     ramp = [k % 20 - 5 for k in range(60)]
     assert configure(servo, memory(1, 10, 4), variable(0, LONG, 4, mode, threshold), START) == 0
     run(servo, ramp)
@@ -161,7 +161,7 @@ def test_a_trigger_fires_at_the_crossing_that_its_mode_selects(
 
 
 def test_a_variable_with_a_source_is_recorded_from_there(servo: Board) -> None:
-    """The copy is for those who read it; the loops keep the original. A region of its own has no copy at all."""
+    """A recorder reads the original of the loops, not its copy; a separate region has no copy."""
     live = SERVO.live
     slots = [variable(0, WORD0, 2), variable(1, WORD1, 2), variable(2, live, 2), variable(3, live + 4, 4)]
     servo.poke(0x54, b"\x11\x11\x22\x22")
@@ -174,24 +174,24 @@ def test_a_variable_with_a_source_is_recorded_from_there(servo: Board) -> None:
     assert points(servo, "<HHHI") == [(0x3333, 0x2222, 0x4444, 0x08776655)]
     assert servo.ask(READ, uleb(WORD0) + b"\x02") == Answer(0, b"\x11\x11")
     assert servo.ask(READ, uleb(live + 4) + b"\x04") == Answer(0, b"\x55\x66\x77\x08")
-    assert servo.ask(READ, uleb(live + 8) + b"\x04") == Answer(0x89), "the table is wrong: it lies beyond"
+    assert servo.ask(READ, uleb(live + 8) + b"\x04") == Answer(0x89), "invalid table: the source is beyond the memory"
     assert servo.ask(0x23, b"\0" + uleb(live) + b"\x02\0\0") == Answer(0x89)
 
 
-def test_divider_and_memory_that_is_not_full(servo: Board) -> None:
+def test_divider_applies_and_a_partly_filled_memory_is_read(servo: Board) -> None:
     assert configure(servo, memory(1, 5, 0, 2), variable(0, LONG, 4), START) == 0
     run(servo, list(range(10)))
     assert configure(servo, STOP) == 0
     assert status(servo) == 3
     assert points(servo, "<i") == [(0,), (3,), (6,), (9,)]
-    assert configure(servo, START) == 0, "again, with the same setup"
+    assert configure(servo, START) == 0, "repeated with the same setup"
     run(servo, [100])
     assert configure(servo, STOP, START, STOP) == 0
     assert points(servo, "<i") == []
 
 
 def test_samples_are_readable_after_the_recording(servo: Board) -> None:
-    """Before the first configuration, beyond the memory, and while it records, they cannot be read."""
+    """Samples cannot be read before the first configuration, beyond the memory, and while recording."""
     begin = uleb(SERVO.samples)
     assert servo.ask(READ, begin + b"\x04") == Answer(0x89)
     assert configure(servo, memory(1)) == 0
@@ -204,16 +204,18 @@ def test_samples_are_readable_after_the_recording(servo: Board) -> None:
     assert servo.ask(READ, begin + b"\x04") == Answer(0x89)
     assert servo.read(SERVO.samples, 4)[0] == 0x89
     assert configure(servo, variable(0, SERVO.samples, 4)) == 0x87
-    assert configure(servo, memory(1), variable(0, SERVO.samples, 4)) == 0x89, "no recording of a recording"
+    assert configure(servo, memory(1), variable(0, SERVO.samples, 4)) == 0x89, (
+        "the memory of a recorder cannot be recorded"
+    )
 
 
 def test_recorders_share_their_memory(servo: Board) -> None:
-    """One at a time; the samples are those of the one that was configured last."""
+    """One recorder at a time; the samples belong to the recorder configured last."""
     assert configure(servo, memory(1), variable(0, LONG, 4), START) == 0
     assert configure(servo, memory(1), recorder=1) == 0x87
     assert configure(servo, STOP) == 0
     assert configure(servo, memory(9), recorder=1) == 0x86
-    assert status(servo) == 3, "a refused request takes nothing away"
+    assert status(servo) == 3, "a refused request does not discard the samples"
     assert configure(servo, memory(1), variable(0, WORD1, 2), START, recorder=1) == 0
     assert status(servo) == 0
     assert configure(servo, START) == 0x86
@@ -221,8 +223,8 @@ def test_recorders_share_their_memory(servo: Board) -> None:
     assert configure(servo, memory(1)) == 0x87
 
 
-def test_a_start_keeps_what_the_last_sample_was(servo: Board) -> None:
-    """The memory is full with one point: the second sample may fire, if the first was on the other side."""
+def test_a_start_keeps_the_side_of_the_last_sample(servo: Board) -> None:
+    """With a memory of one point the second sample may fire if the first was on the other side of the threshold."""
     assert configure(servo, memory(1, 1), variable(0, LONG, 4, SIGNED | ABOVE, sleb(3)), START) == 0
     run(servo, [2, 5])
     assert status(servo) == 4
@@ -238,14 +240,14 @@ def test_a_start_keeps_what_the_last_sample_was(servo: Board) -> None:
         (b"\x02", 0x94),
         (b"\x02\x03\x00", 0x94),
         (b"\x00", 0),
-        (b"\x00\x03", 0),  # a single left-over byte
+        (b"\x00\x03", 0),  # a single extra byte
         (b"\x00\x05\x00", 0x95),
         (b"\x00\x03\x01", 0x86),  # operand beyond the payload
         (b"\x00\x03\x01\x00", 0x86),  # operand of an operation that has none
         (b"\x00" + START, 0x86),
         (b"\x00" + STOP, 0x88),
         (b"\x00" + memory(8), 0),
-        (b"\x00" + memory(9), 0x86),  # the vendor writes behind its memory
+        (b"\x00" + memory(9), 0x86),  # the vendor's server writes beyond its memory
         (b"\x00" + memory(255), 0x86),
         (b"\x00" + operation(1, b"\x01\x00\x00"), 0x86),
         (b"\x00" + operation(1, b"\x01\x00\x00\x00\x00"), 0x86),
@@ -258,7 +260,7 @@ def test_a_start_keeps_what_the_last_sample_was(servo: Board) -> None:
         (b"\x00" + memory(1) + variable(0, LONG, 4, UNSIGNED | ABOVE | VARIABLE, uleb(LONG + 1)), 0x89),
         (b"\x00" + memory(1) + variable(0, LONG, 4, 3), 0x90),
         (b"\x00" + memory(1) + variable(0, WORD1, 2, 3), 0x86),
-        (b"\x00" + memory(1) + variable(0, LONG, 4) + STOP, 0x88),  # complete, and not yet looked at
+        (b"\x00" + memory(1) + variable(0, LONG, 4) + STOP, 0x88),  # complete, but not checked yet
         (b"\x00" + memory(1) + variable(0, LONG, 4) + START + variable(0, LONG, 4), 0x87),
         (b"\x00" + memory(1) + variable(0, LONG, 4) + START + START + STOP + STOP, 0),
         (b"\x00" + memory(1) + variable(0, LONG, 4, NOT_STORED) + START, 0x86),
@@ -280,9 +282,11 @@ def test_a_wrong_query_is_refused(servo: Board, payload: bytes, expected: int) -
 def test_a_query_completes_the_configuration(servo: Board) -> None:
     assert configure(servo, memory(1, 300, 400), variable(0, LONG, 4)) == 0
     assert status(servo) == 1
-    assert query(servo, INFO) == b"\x01\x01" + b"".join(map(uleb, (SERVO.samples, 4, 256, 0))), "all that fit"
+    assert query(servo, INFO) == b"\x01\x01" + b"".join(map(uleb, (SERVO.samples, 4, 256, 0))), (
+        "the number of points that fit"
+    )
     assert configure(servo, variable(0, LONG, 4)) == 0x87
-    assert configure(servo, START, memory(1, 20)) == 0, "also while it runs"
+    assert configure(servo, START, memory(1, 20)) == 0, "also while recording"
     assert query(servo, INFO) == bytes(6)
 
 
@@ -368,7 +372,7 @@ BEGIN = st.builds(
 def test_board_and_model_answer_alike_to_random_requests(
     new_board: Callable[[Layout], Board], begin: list[tuple[str, int, bytes]], steps: list[tuple[str, int, bytes | int]]
 ) -> None:
-    """Board and model get the same requests and see the same memory; every answer is the same."""
+    """Board and model receive the same requests and have the same memory; every answer is the same."""
     board = new_board(SERVO)
     held = Memory(SERVO, bytearray(initial_memory()), bytearray(LIVE_SIZE))
     recorders = [Recorder(k, held) for k in range(2)]
@@ -392,7 +396,7 @@ def test_board_and_model_answer_alike_to_random_requests(
 
 
 def _let_run(board: Board, held: Memory, recorder: Recorder, seed: int) -> None:
-    """The loop runs while everything changes, slowly and quickly."""
+    """Run the loop while the variables change slowly and quickly."""
     for k in range(seed % 37):
         for size, target, poke in ((MEMORY_SIZE, held.variables, board.poke), (LIVE_SIZE, held.live, board.poke_live)):
             place = (seed // (k + 1)) % (size - 2)

@@ -1,4 +1,4 @@
-"""Address resolution with tables that no sane generator makes: nothing outside of them is ever read."""
+"""Address resolution with invalid tables: nothing outside of them is read."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Tsa:
         self._space = ffi.new("tsa_space_t *", (self.table, self._memory, 16, self._live, 16))
 
     def place(self, kind: str, address: int, size: int) -> tuple[int, int] | None:
-        """Offset and size that a range resolves to."""
+        """Offset and size to which a range resolves."""
         place = self._ffi.new("tsa_place_t *")
         allowed = getattr(self._lib, f"tsa_{kind}")(self._space, address, size, place)
         return (place.offset, place.size) if allowed else None
 
     def live(self, address: int, size: int) -> tuple[str, int, int] | None:
-        """Memory and offset where the loops keep a range, and the cell that it is made of."""
+        """Memory and offset of a range in the loops, and the size of its elements."""
         cell = self._ffi.new("uint8_t *")
         at = self._lib.tsa_live(self._space, address, size, cell)
         for name, memory in (("live", self._live), ("memory", self._memory)):
@@ -66,8 +66,8 @@ def library(compile_c: CompileC) -> tuple[cffi.FFI, Any]:
     return compile_c("tsa", ["comm/tsa.c"], declarations("comm/tsa.h"))
 
 
-def test_string_without_an_end(library: tuple[cffi.FFI, Any]) -> None:
-    """The blob ends in the middle of a string: its length ends there too."""
+def test_unterminated_string_ends_with_the_blob(library: tuple[cffi.FFI, Any]) -> None:
+    """The blob ends within a string; the length of the string ends there."""
     ffi, lib = library
     tsa = Tsa(ffi, lib, [(0, 2, VARIABLES, 2, RW)], b"a\0\xe1xyz")
     tsa.table.strings_size = 4
@@ -76,7 +76,7 @@ def test_string_without_an_end(library: tuple[cffi.FFI, Any]) -> None:
     assert tsa.place("readable", STRINGS + 2, 3) is None
 
 
-def test_type_outside_of_the_strings_opens_nothing(library: tuple[cffi.FFI, Any]) -> None:
+def test_type_outside_of_the_strings_gives_no_access(library: tuple[cffi.FFI, Any]) -> None:
     ffi, lib = library
     tsa = Tsa(ffi, lib, [(0, 4, VARIABLES, 2, RW), (0, 0xFFFF, VARIABLES + 2, 2, RW)], b"a\0\xe1\0")
     for kind in ("readable", "writable"):
@@ -84,24 +84,24 @@ def test_type_outside_of_the_strings_opens_nothing(library: tuple[cffi.FFI, Any]
         assert tsa.place(kind, VARIABLES + 2, 2) is None
 
 
-def test_entries_at_the_ends_of_the_address_space(library: tuple[cffi.FFI, Any]) -> None:
+def test_entries_at_the_ends_of_the_address_space_are_resolved(library: tuple[cffi.FFI, Any]) -> None:
     ffi, lib = library
     entries = [(0, 2, 0xFFFF_FFFE, 4, RW), (0, 2, 0, 0xFFFF, RW), (0, 2, VARIABLES - 2, 4, RW)]
     tsa = Tsa(ffi, lib, entries, b"a\0\xe1\0")
     for address, size in ((0xFFFF_FFFE, 2), (0, 1), (VARIABLES - 1, 2), (VARIABLES + 16, 1), (VARIABLES + 15, 2)):
         assert tsa.place("readable", address, size) is None
         assert tsa.place("writable", address, size) is None
-    assert tsa.place("writable", VARIABLES, 16) == (0, 16), "inside of the memory and of an entry"
+    assert tsa.place("writable", VARIABLES, 16) == (0, 16), "inside the memory and inside an entry"
 
 
-def test_table_larger_than_one_read(library: tuple[cffi.FFI, Any]) -> None:
+def test_table_larger_than_one_read_is_readable(library: tuple[cffi.FFI, Any]) -> None:
     ffi, lib = library
     tsa = Tsa(ffi, lib, [(0, 2, VARIABLES, 2, RW)] * 5000, b"a\0\xe1\0")
     assert tsa.table_size() == 80_000
     assert tsa.place("readable", TABLE + 14_465, 65_535) == (14_465, 65_535)
-    assert tsa.place("readable", TABLE + 14_466, 65_535) is None, "ends behind the table"
+    assert tsa.place("readable", TABLE + 14_466, 65_535) is None, "ends beyond the table"
     assert tsa.place("readable", TABLE, 65_536) is None
-    assert tsa.place("readable", TABLE, 65_536 + 16) is None, "a size of 16 bits would take it for 16 bytes"
+    assert tsa.place("readable", TABLE, 65_536 + 16) is None, "a 16-bit size would be 16 bytes"
 
 
 def test_an_empty_table_makes_nothing_readable(library: tuple[cffi.FFI, Any]) -> None:
@@ -114,7 +114,7 @@ def test_an_empty_table_makes_nothing_readable(library: tuple[cffi.FFI, Any]) ->
 
 
 def test_a_part_of_a_variable_comes_from_the_same_part_of_its_source(library: tuple[cffi.FFI, Any]) -> None:
-    """A part of a variable comes from the same part of its source; one that lies beyond the memory has none."""
+    """A part of a variable is read from the same part of its source; a source beyond the memory is not used."""
     ffi, lib = library
     sources = [(VARIABLES + 4, 8, 4), (LIVE, 12, 4), (LIVE + 4, 14, 4), (LIVE + 8, 0xFFFE, 4), (0xFFFF_FFFE, 0, 4)]
     tsa = Tsa(ffi, lib, [(0, 2, VARIABLES, 8, RW)], b"a\0\xe1\0", sources)

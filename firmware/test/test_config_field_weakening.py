@@ -1,4 +1,4 @@
-"""Field weakening in the tuning tool: integers, stability, the torque that is left, refusals and warnings."""
+"""Field weakening in the tuning tool: integers, stability, remaining torque, refusals and warnings."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from tuning_tool import axis, configuration
 
 
 class Motor(NamedTuple):
-    """That of axis 1."""
+    """Motor of axis 1."""
 
-    r_s: float = 0.55
-    l_d: float = 0.403e-3
-    l_q: float = 0.512e-3
-    psi_m: float = 0.0154
-    pole_pairs: float = 2.0
+    r_s: float = 0.55  # [ohm]
+    l_d: float = 0.403e-3  # [H]
+    l_q: float = 0.512e-3  # [H]
+    psi_m: float = 0.0154  # flux linkage of the magnets [V s]
+    pole_pairs: float = 2.0  # [1]
 
 
 MOTOR = Motor()
@@ -32,10 +32,10 @@ MOTOR = Motor()
 @given(
     speed=st.floats(10.0, 500.0), volts=st.floats(5.0, 15.0), maximum=st.floats(0.0, 3.5), fraction=st.floats(0.0, 1.0)
 )
-def test_the_torque_that_is_left_is_within_voltage_and_current(
+def test_remaining_torque_is_within_voltage_and_current(
     speed: float, volts: float, maximum: float, fraction: float
 ) -> None:
-    """And no other current within them gives more, to what the steps of i_d leave."""
+    """No other current within the limits gives more torque, within the resolution of i_d."""
     best = largest_torque(MOTOR, 4.0, speed, volts, -maximum)
     omega, i_d = 2.0 * speed, -fraction * maximum
     assert -maximum <= best.i_d <= 0.0
@@ -76,20 +76,20 @@ def test_the_configured_loops_are_stable(number: int) -> None:
     assert not [line for line in findings(it, assess(it)) if "field_weakening" in line]
 
 
-def test_a_loop_that_is_too_fast_is_warned_of_where_it_is_on() -> None:
+def test_a_too_fast_loop_causes_a_warning_if_enabled() -> None:
     for on in (True, False):
         it = axis(1, defaults__field_weakening__bandwidth=100.0, defaults__features__field_weakening=on)
         found = [line for line in findings(it, assess(it)) if "field_weakening.bandwidth" in line]
         assert bool(found) == on
 
 
-def test_the_magnets_bound_the_current() -> None:
+def test_demagnetisation_limits_the_current() -> None:
     it = axis(1, defaults__field_weakening__magnet_current=1.5)
     assert it.block["field_weakening.i_d_max"] == round(1.5 / 8.25 * 2**15)
 
 
 def test_a_speed_limit_beyond_the_voltage_needs_field_weakening() -> None:
-    """A motor of more flux: 4000 rpm are more than 24 V give, and not more than with 3 A against it."""
+    """A motor with more flux: 4000 rpm is above the no-load speed at 24 V, but reached with 3 A of i_d."""
     changes = {"axis1__motor__psi_m": 0.0159, "axis1__limits": {"speed": 415.0, "over_speed": 470.0}}
     with pytest.raises(ConfigError, match="switch field_weakening on"):
         axis(1, **changes)
@@ -97,7 +97,7 @@ def test_a_speed_limit_beyond_the_voltage_needs_field_weakening() -> None:
     assert it.axis("limits.speed") == 415.0
 
 
-def test_the_report_says_what_is_left() -> None:
+def test_report_contains_the_remaining_torque() -> None:
     page = text(axis_reports(configuration()))
     assert page.count("field weakening") >= 2
     assert "loop by i_d on the circle" in page

@@ -1,4 +1,4 @@
-"""The tuning tool's figures: linear systems against closed forms, loops against the C, E43..E45 by hand, warnings."""
+"""Figures of the tuning tool: linear systems against closed forms, loops against the C, E43..E45, warnings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_exponential_of_a_chain_of_integrators() -> None:
 
 
 @pytest.mark.parametrize("dt", [1e-6, 1e-3, 1.0, 1e3])
-def test_held_input_of_a_lag(dt: float) -> None:
+def test_zero_order_hold_of_a_lag(dt: float) -> None:
     f, g = held(np.array([[-20.0]]), np.array([[20.0]]), dt)
     assert f[0, 0] == pytest.approx(math.exp(-20.0 * dt), abs=1e-13)
     assert g[0, 0] == pytest.approx(-math.expm1(-20.0 * dt), rel=1e-12)
@@ -53,14 +53,14 @@ def delayed_integrator(omega: float, delay: float) -> Callable[[NDArray[np.float
 
 @pytest.mark.parametrize(("omega", "delay"), [(100.0, 1e-3), (500.0, 1e-3), (1500.0, 0.9e-3)])
 def test_margins_of_an_integrator_with_dead_time(omega: float, delay: float) -> None:
-    """It crosses 1 at omega with 90 degrees less the dead time's; the phase is turned at pi / (2 delay)."""
+    """Crossover at omega, phase margin 90 degrees minus that of the dead time; -180 degrees at pi / (2 delay)."""
     found = margins(delayed_integrator(omega, delay), 1e5)
     assert found.crossover == pytest.approx(omega / (2.0 * math.pi), rel=1e-4)
     assert found.phase == pytest.approx(90.0 - math.degrees(omega * delay), abs=1e-2)
     assert found.gain == pytest.approx(math.pi / 2.0 / (omega * delay), rel=1e-4)
 
 
-def test_margins_of_a_loop_that_is_always_small() -> None:
+def test_loop_without_crossover_has_no_margins() -> None:
     found = margins(lambda w: np.full(w.shape, 0.1 + 0.0j), 1000.0)
     assert (found.crossover, found.phase, found.gain) == (None, None, None)
 
@@ -72,7 +72,7 @@ def test_gain_margin_at_half_the_sampling_frequency() -> None:
     assert spectral_radius(loop.fed_back(0, 0, 3.999).a) < 1.0 < spectral_radius(loop.fed_back(0, 0, 4.001).a)
 
 
-def test_poles_name_the_continuous_ones() -> None:
+def test_discrete_poles_are_converted_to_continuous_ones() -> None:
     s = 2.0 * math.pi * 30.0 * cmath.exp(1j * (math.pi - math.acos(0.4)))
     z = cmath.exp(s * TICK)
     a = np.array(
@@ -119,7 +119,7 @@ def test_current_loop_is_the_pi_of_the_firmware(core: Core) -> None:
         current = decay * after + (1.0 - decay) / r * voltage
     model = it.current_loop("q").closed.simulate(np.ones((200, 1)))[:, 0]
     assert max(abs(model - np.array(currents))) < 1e-6
-    assert max(currents) > 1.0 / math.e, "it did rise"
+    assert max(currents) > 1.0 / math.e, "the current has risen"
 
 
 def edge_times(
@@ -135,12 +135,12 @@ def edge_times(
 
 @pytest.mark.parametrize("speed", [200.0, 40.0, 10.0, 5.0, 2.5, 1.2])
 def test_edge_delay_is_that_of_the_firmware(core: Core, speed: float) -> None:
-    """A slow swing on a constant speed through the C of the M/T method, its edges and ticks unrelated."""
+    """Slow oscillation about a constant speed through the C of the M/T method; edges and ticks are not synchronous."""
     frequency, swing = 7.3, 0.1 * speed
     omega = 2.0 * math.pi * frequency
 
     def shaft(t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return speed * t + swing / omega * np.sin(omega * t)  # its speed swings as a cosine
+        return speed * t + swing / omega * np.sin(omega * t)  # its speed oscillates as a cosine
 
     end = 7.5
     config = core.lib.probe_config().axis[0]
@@ -169,7 +169,7 @@ def test_edge_delay_is_that_of_the_firmware(core: Core, speed: float) -> None:
     assert delay == pytest.approx(expected_delay, abs=0.1 * expected_delay)
 
 
-def test_edge_delay_grows_where_edges_get_rarer_than_ticks() -> None:
+def test_edge_delay_grows_if_edges_are_rarer_than_ticks() -> None:
     delays = [edge_delay(1000.0, TICK, speed).delay for speed in (1e6, 2.0 * math.pi / 2000.0 / TICK, 1.0)]
     assert delays == pytest.approx([1.5 * TICK, TICK, 2.0 * math.pi / 2000.0], rel=1e-5)
 
@@ -193,7 +193,7 @@ def test_current_loop_with_rarer_samples_has_less_margin() -> None:
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_phase_margin_of_the_speed_loop_by_hand(number: int) -> None:
-    """An integrator behind the PI, the hold, the way to the fast loop and the current loop.
+    """An integrator after the PI controller, the hold, the delay to the fast loop and the current loop.
 
     The proportional part sees the mean of the slow period before the last, the integral part that of the last one.
     """
@@ -214,7 +214,7 @@ def test_phase_margin_of_the_speed_loop_by_hand(number: int) -> None:
 
 
 def test_design_rule_by_hand() -> None:
-    """4000 rpm, 2 A at 0.0462 N m/A, 0.8e-5 kg m^2 with and 1.6e-6 without the disc."""
+    """4000 rpm, 2 A at 0.0462 N m/A, inertia 0.8e-5 kg m^2 with and 1.6e-6 kg m^2 without the disc."""
     rule = assess(axis()).rule
     torque = 1.5 * 2 * 0.0154 * 2.0
     assert rule.t_n_rotor == pytest.approx(4000.0 * math.pi / 30.0 * 1.6e-6 / torque, rel=1e-4)  # E43
@@ -233,7 +233,7 @@ def second_order(k_v_t: float) -> float:
 
 
 def test_e45_overshoots_and_a_quarter_does_not() -> None:
-    """Why the tool does not take E45's half: damping 0.707, more than 4 % beyond the target (DRM 2.7.3 wants none)."""
+    """K_v T = 1/2 of E45 gives damping 0.707 and 4 % overshoot (DRM 2.7.3 requires none); the tool uses 1/4."""
     assert second_order(0.5) == pytest.approx(0.043, abs=0.001)
     assert second_order(0.25) == 0.0
     dt, lag = 1e-5, 1e-3
@@ -248,13 +248,13 @@ def test_e45_overshoots_and_a_quarter_does_not() -> None:
 # ---- findings -------------------------------------------------------------------------------------------------------
 
 
-def judged(**changes: object) -> tuple[Tuned, Assessment, list[str]]:
+def assessed(**changes: object) -> tuple[Tuned, Assessment, list[str]]:
     it = axis(1, **changes)
     figures = assess(it)
     return it, figures, findings(it, figures)
 
 
-def test_the_committed_axes_deserve_no_warning() -> None:
+def test_the_committed_axes_cause_no_warning() -> None:
     for number in (1, 2):
         it = axis(number)
         figures = assess(it)
@@ -288,18 +288,18 @@ FINDINGS = [
 
 
 @pytest.mark.parametrize(("beginning", "reason", "changes"), FINDINGS)
-def test_what_can_run_but_should_not(beginning: str, reason: str, changes: dict[str, object]) -> None:
-    _, _, sentences = judged(**changes)
+def test_unfavourable_values_cause_a_warning(beginning: str, reason: str, changes: dict[str, object]) -> None:
+    _, _, sentences = assessed(**changes)
     named = [sentence for sentence in sentences if sentence.startswith(beginning) and reason in sentence]
     assert len(named) >= 1, sentences
-    assert all("; " in sentence for sentence in sentences), "a way out"
+    assert all("; " in sentence for sentence in sentences), "every warning contains a remedy"
 
 
-def test_warnings_speak_of_the_sensor_that_is_on() -> None:
+def test_warnings_apply_to_the_enabled_speed_sensor() -> None:
     """With the speed observer the loop has a larger margin than with the age of the M/T method."""
     wide = {"axis1__control__speed_bandwidth": 100.0}
-    _, with_mt, warned = judged(**wide)
-    _, with_observer, quiet = judged(**wide, axis1__features__speed_observer=True)
+    _, with_mt, warned = assessed(**wide)
+    _, with_observer, quiet = assessed(**wide, axis1__features__speed_observer=True)
     assert any("speed loop" in sentence for sentence in warned)
     assert not any("speed loop" in sentence or "speed, observer loop" in sentence for sentence in quiet)
     assert with_mt.loops[2].margins == with_observer.loops[2].margins
@@ -307,8 +307,8 @@ def test_warnings_speak_of_the_sensor_that_is_on() -> None:
     assert [loop.in_force for loop in with_observer.loops] == [True, True, False, False, True, True]
 
 
-def test_a_stiffer_loop_gives_way_less() -> None:
-    soft, stiff = (judged(axis1__control__position_gain=gain)[1].load_step for gain in (30.0, 100.0))
+def test_a_stiffer_loop_has_a_smaller_deflection() -> None:
+    soft, stiff = (assessed(axis1__control__position_gain=gain)[1].load_step for gain in (30.0, 100.0))
     assert stiff.stiffness > soft.stiffness
     assert stiff.deflection < soft.deflection
     assert stiff.recovery < soft.recovery

@@ -1,4 +1,4 @@
-"""Any motor: the tuning tool either writes constants that fit their C types, or refuses; it never breaks."""
+"""Any motor: the tuning tool writes constants that fit their C types, or refuses the motor; it never fails."""
 
 from __future__ import annotations
 
@@ -63,11 +63,12 @@ def with_motor(motor: Mapping[str, float], axis: str = "axis1") -> dict[str, Any
 def tune(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]]:
     configuration = parse(whole, CATALOGUE)
     assert brake_constants(configuration)
+    assert time_outs(configuration.board)
     return configuration, [tuned(axis, configuration) for axis in configuration.axes]
 
 
 def tune_or_refuse(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]] | str:
-    """The same, or the text of the refusal."""
+    """Tuned constants, or the text of the refusal."""
     try:
         return tune(whole)
     except ConfigError as refusal:
@@ -75,7 +76,7 @@ def tune_or_refuse(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]
 
 
 def fill(config: Any, constants: AxisConstants) -> None:
-    """Write the constants into a C structure; cffi refuses what a field cannot hold."""
+    """Write the constants into a C structure; cffi refuses values out of range."""
     for path, value in constants.items():
         *groups, field = path.split(".")
         place = config
@@ -97,7 +98,7 @@ def fill(config: Any, constants: AxisConstants) -> None:
 
 
 def fields_of(core: Core, type_: Any, prefix: str = "") -> set[str]:
-    """C paths of everything in a structure, PI gains as one."""
+    """C paths of all fields of a structure; the gains of a PI controller count as one."""
     found: set[str] = set()
     for name, field in type_.fields:
         if field.type.kind == "struct" and field.type.cname != "pi_gains_t":
@@ -119,7 +120,7 @@ def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, flo
     outcome = tune_or_refuse(with_motor(motor))
     if isinstance(outcome, str):
         assert outcome.startswith("axis1"), outcome
-        assert "; " in outcome, "a way out"
+        assert "; " in outcome, "the refusal contains a remedy"
         return
     configuration, axes = outcome
     config = core.ffi.new("servo_config_t *")
@@ -135,7 +136,7 @@ def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, flo
 
 
 def sample(count: int, seed: int) -> list[dict[str, Any]]:
-    """Motors drawn without a search, and gains in proportion: for what takes longer, and for counting."""
+    """Random motors with gains in proportion, for slow tests and for counting."""
     draw = random.Random(seed)
 
     def log(low: float, high: float) -> float:
@@ -164,7 +165,7 @@ def sample(count: int, seed: int) -> list[dict[str, Any]]:
 
 
 def test_most_motors_can_be_tuned() -> None:
-    """With bandwidths to match; the others are too heavy for their current, too light for a path or too fast."""
+    """With matching bandwidths; the others have too much or too little inertia for their current, or are too fast."""
     outcomes = [tune_or_refuse(whole) for whole in sample(200, seed=1)]
     reasons = [outcome for outcome in outcomes if isinstance(outcome, str)]
     assert len(reasons) <= 80, reasons
@@ -185,8 +186,8 @@ def written(whole: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def test_the_command_on_other_motors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What it writes compiles without a warning; what it refuses it does not write; the report never breaks."""
+def test_command_works_for_other_motors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Written files compile without a warning; refused motors write no file; the report never fails."""
     outcomes = []
     for number, whole in enumerate(sample(8, seed=2)):
         config, output = tmp_path / f"{number}.toml", tmp_path / f"{number}.c"
@@ -200,11 +201,11 @@ def test_the_command_on_other_motors(tmp_path: Path, capsys: pytest.CaptureFixtu
         else:
             assert not output.exists()
             assert errors.startswith(f"{config}: axis1")
-    assert set(outcomes) == {0, 1}, "both were tried"
+    assert set(outcomes) == {0, 1}, "both outcomes occur"
 
 
 def places() -> list[str]:
-    """Every number of the file."""
+    """Paths of all numbers of the file."""
     return (
         [f"board__{key}" for key in BOARD]
         + [f"board__{group}__{key}" for group, entries in BOARD_GROUPS.items() for key in entries]
@@ -214,8 +215,8 @@ def places() -> list[str]:
 
 @settings(max_examples=600)
 @given(st.dictionaries(st.sampled_from(places()), st.floats(-13.0, 13.0), min_size=1, max_size=4))
-def test_absurd_numbers_never_break_it(core: Core, exponents: dict[str, float]) -> None:
-    """Some entries off by powers of ten, alone and together."""
+def test_absurd_numbers_are_tuned_or_refused(core: Core, exponents: dict[str, float]) -> None:
+    """Some entries changed by powers of ten, alone and together."""
     whole = table()
     for place, exponent in exponents.items():
         *groups, key = place.split("__")
@@ -235,5 +236,5 @@ def test_absurd_numbers_never_break_it(core: Core, exponents: dict[str, float]) 
 
 
 def test_the_folder_of_the_tool_is_not_compiled() -> None:
-    """The build takes every C file of a folder of the firmware; the tool's package holds none."""
+    """The build compiles every C file of a firmware folder; the package of the tool contains none."""
     assert not list((FIRMWARE / "config" / "tuning").glob("*.[ch]"))

@@ -1,4 +1,4 @@
-"""The tuning tool refuses what cannot work, and says which entry, which value, why, and what to do."""
+"""The tuning tool refuses an invalid configuration with entry, value, reason and remedy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tuning_tool import CATALOGUE, case, configuration, table
 
 
 def compute(**changes: object) -> str:
-    """The C text, as far as the configuration lets it come."""
+    """The C text of a changed configuration."""
     whole = configuration(**changes)
     axes = [tuned(axis, whole).constants for axis in whole.axes]
     return c_source(axes, brake_constants(whole), time_outs(whole.board))
@@ -30,11 +30,11 @@ def test_the_committed_configuration_is_accepted() -> None:
     assert "servo_config" in compute()
 
 
-# ---- one number by itself -------------------------------------------------------------------------------------------
+# ---- single numbers -------------------------------------------------------------------------------------------------
 
 
 def entries() -> Iterator[tuple[str, str, Entry]]:
-    """Every number of the file: where it is written, what it is called, what it has to be."""
+    """Every number of the file: its key, its name, its requirements."""
     for key, entry in BOARD.items():
         yield f"board__{key}", f"board.{key}", entry
     for group, keys in BOARD_GROUPS.items():
@@ -53,7 +53,7 @@ def optional(row: Any) -> bool:
 
 
 @pytest.mark.parametrize(("place", "name", "entry"), ENTRIES)
-def test_what_no_entry_can_be(place: str, name: str, entry: Entry) -> None:
+def test_invalid_value_of_an_entry_is_refused(place: str, name: str, entry: Entry) -> None:
     wrong: list[tuple[object, str]] = [
         (-1.0, "too small"),
         (-1e-300, "too small"),
@@ -82,11 +82,11 @@ def test_what_no_entry_can_be(place: str, name: str, entry: Entry) -> None:
         message = str(refusal.value)
         assert message.startswith(f"{name} = "), message
         assert reason in message
-        assert entry.meaning in message, "says what is wanted"
+        assert entry.meaning in message, "the message contains the meaning of the entry"
 
 
 @pytest.mark.parametrize(("place", "name", "entry"), [row for row in ENTRIES if not optional(row)])
-def test_no_entry_may_be_missing(place: str, name: str, entry: Entry) -> None:
+def test_missing_entry_is_refused(place: str, name: str, entry: Entry) -> None:
     whole = table()
     *groups, key = place.split("__")
     for owner in (groups[0], "defaults"):
@@ -118,21 +118,21 @@ NAMES: list[tuple[str, dict[str, object], str]] = [
 
 
 @pytest.mark.parametrize(("changes", "message"), [row[1:] for row in NAMES], ids=[row[0] for row in NAMES])
-def test_misspelt_names_and_wrong_shapes(changes: dict[str, object], message: str) -> None:
+def test_misspelt_names_and_wrong_types_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError) as refusal:
         configuration(**changes)
     assert message in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["axis1", "axis2", "board"])
-def test_a_part_may_not_be_missing(name: str) -> None:
+def test_missing_table_is_refused(name: str) -> None:
     whole = table()
     del whole[name]
     with pytest.raises(ConfigError, match=rf"{name}.*is missing"):
         parse(whole, CATALOGUE)
 
 
-def test_a_switch_may_not_be_missing() -> None:
+def test_missing_switch_is_refused() -> None:
     whole = table()
     del whole["defaults"]["features"]["dead_time"]
     with pytest.raises(ConfigError, match=r"features\.dead_time is missing"):
@@ -148,7 +148,7 @@ def test_an_inherited_entry_is_named_with_its_place() -> None:
         configuration(axis2__limits__current=-9.0)
 
 
-# ---- numbers together -----------------------------------------------------------------------------------------------
+# ---- combined numbers -----------------------------------------------------------------------------------------------
 
 K: dict[str, object] = {"axis1__observer__k_1": -5200.0, "axis1__observer__k_2": 5300.0}
 HEAVY: dict[str, object] = {
@@ -161,7 +161,7 @@ HEAVY: dict[str, object] = {
 FITTED: dict[str, object] = {"board__brake__fitted": True}
 
 TOGETHER = [
-    # limits beyond the contract and its full scales
+    # limits beyond the full scales of the contract
     case("axis1.limits.current = 9", "0.1 .. 4 A"),
     case("axis1.limits.current = 4.5", "param.i_q_limit"),
     case("axis1.rotor_search.current = 4.5", "write 4 A or less"),
@@ -180,7 +180,7 @@ TOGETHER = [
     case("axis1.limits.position = 2e+06", "param.position_max"),
     case("axis1.limits.following_error = 2000", "1000 rad"),
     case("axis1.limits.over_speed = 520", "500 rad/s"),
-    # what the supply and the shaft cannot do
+    # not possible with supply and shaft
     case(
         "axis1.limits.speed = 400",
         "above the no-load speed of 352.4 rad/s at 20 V",
@@ -190,14 +190,14 @@ TOGETHER = [
     case("axis1.limits.speed (in [defaults.limits]) = 314", "65.13 rad/s", axis1__motor__psi_m=0.1),
     case("axis1.friction.coulomb = 0.2", "gives 0.185 N m"),
     case("axis1.motor.rotor_inertia = 2e-05", "8e-06 kg m^2"),
-    # limits among themselves
+    # consistency of the limits
     case("axis1.limits.over_speed = 314", "314 rad/s"),
     case("axis1.timing.stop_speed = 314", "speed limit"),
     case("board.under_voltage = 25", "nominal_voltage = 24 V"),
     case("board.nominal_voltage = 33", "over_voltage = 33 V"),
     case("board.over_voltage = 36.3", "36.3 V"),
     case("board.dead_time = 4e-05", "period"),
-    # what the contract fixes
+    # fixed by the contract
     case("axis1.encoder.lines (in [defaults.encoder]) = 2500", "4000", defaults__encoder__lines=2500),
     case("board.slow_divider = 16", "write 8"),
     case("board.pwm_frequency = 20000", "write 16000"),
@@ -240,7 +240,7 @@ TOGETHER = [
     case("axis1.start_up.mean_max = 1", "not above 1"),
     case("axis1.start_up.mean_min = 1", "not below 1"),
     case("axis1.start_up.wait_max (in [defaults.start_up])", "64 speeds", axis1__reliability__period=60),
-    # gains and scales that do not fit
+    # gains and scales out of range
     case("axis1: speed controller Kp = 2", "does not fit gain_t", axis1__motor__inertia=4e-4),
     case("axis1: current controller q Kp = 214.", "does not fit gain_t", axis1__motor__l_q=0.1),
     case(
@@ -266,7 +266,7 @@ TOGETHER = [
     case("axis1.timing.settle = 0.0001", "vanish"),
     case("board.host_timeout = 60", "0.05 .. 30 s"),
     case("board.command_timeout = 60", "0 .. 30 s"),
-    # the bus, its resistor, ways to stop
+    # bus, brake resistor, stop categories
     case("board.regeneration.start_voltage = 23", "24"),
     case("board.regeneration.full_voltage = 28", "29"),
     case("board.over_voltage = 33", "not above", board__regeneration__full_voltage=33.0),
@@ -278,7 +278,7 @@ TOGETHER = [
     case("board.brake.power = 200", "167 W", **FITTED),
     case("axis1.stop.short_current = 9", "8.25 A"),
     case("axis1.stop.time_max = 0.5", "0.579 s"),
-    # loops that sampling makes unstable
+    # loops that are unstable by sampling
     case("axis1.control.current_bandwidth = 6000", "unstable"),
     case("axis1.control.speed_bandwidth = 250", "unstable"),
     case(
@@ -291,13 +291,13 @@ TOGETHER = [
 
 
 @pytest.mark.parametrize(("beginning", "reason", "changes"), TOGETHER)
-def test_numbers_that_do_not_go_together(beginning: str, reason: str, changes: dict[str, object]) -> None:
+def test_inconsistent_numbers_are_refused(beginning: str, reason: str, changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError) as refusal:
         compute(**changes)
     message = str(refusal.value)
     assert message.startswith(beginning), message
     assert reason in message, message
-    assert message.count("; ") >= 1, f"no way out: {message}"
+    assert message.count("; ") >= 1, f"no remedy: {message}"
 
 
 @pytest.mark.parametrize("changes", [row[2] for row in TOGETHER if all(path.startswith("axis1") for path in row[2])])
@@ -323,7 +323,7 @@ STOPS = [
 
 
 @pytest.mark.parametrize(("fault", "category", "reason"), STOPS)
-def test_a_stop_that_cannot_work_is_refused(fault: str, category: object, reason: str) -> None:
+def test_an_impossible_stop_category_is_refused(fault: str, category: object, reason: str) -> None:
     with pytest.raises(ConfigError) as refusal:
         configuration(**{f"axis2__stop__{fault}": category})
     message = str(refusal.value)
@@ -332,7 +332,7 @@ def test_a_stop_that_cannot_work_is_refused(fault: str, category: object, reason
     assert "; write coast" in message
 
 
-def test_names_of_stops() -> None:
+def test_invalid_names_of_stop_categories_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"axis1\.stop\.following_eror .*unknown; did you mean following_error"):
         configuration(axis1__stop__following_eror="ramp")
     whole = table()
@@ -341,7 +341,7 @@ def test_names_of_stops() -> None:
         parse(whole, CATALOGUE)
 
 
-def test_stops_reach_the_c_file() -> None:
+def test_stop_categories_are_written_to_the_c_file() -> None:
     text = compute(axis1__stop__following_error="short", axis1__stop__over_speed="ramp", axis1__stop__disable="coast")
     axis1 = text.split("},\n        {")[0]
     assert ".stop.disable = STOP_CATEGORY_COAST," in axis1
@@ -353,7 +353,7 @@ def test_stops_reach_the_c_file() -> None:
 # ---- passwords ------------------------------------------------------------------------------------------------------
 
 
-def test_passwords_go_into_the_firmware_as_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_passwords_are_written_as_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SERVO_PASSWORD", "secret")
     constants = password_constants(
         configuration(board__passwords={"command": "env:SERVO_PASSWORD", "tune": "sha1:" + 20 * "0A"}).board.passwords
@@ -374,8 +374,8 @@ def test_passwords_go_into_the_firmware_as_hashes(monkeypatch: pytest.MonkeyPatc
         ({"tunes": "env:HOME"}, r"board\.passwords\.tunes is unknown; did you mean tune"),
     ],
 )
-def test_passwords_that_are_none(entries: dict[str, object], message: str) -> None:
-    """The message never shows what may be the password itself."""
+def test_invalid_passwords_are_refused(entries: dict[str, object], message: str) -> None:
+    """The message does not contain the password."""
     with pytest.raises(ConfigError, match=message) as error:
         password_constants(configuration(board__passwords=entries).board.passwords)
     assert "sesame" not in str(error.value)

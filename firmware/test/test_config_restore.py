@@ -1,4 +1,4 @@
-"""A file that is read back from a board gives the same blocks, bit for bit."""
+"""A file read back from a board gives the same blocks, bit for bit."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def blocks_of(source: dict[str, Any]) -> list[dict[str, int]]:
 
 
 def read_back(blocks: list[dict[str, int]]) -> tuple[dict[str, Any], list[dict[str, int]]]:
-    """What the file says as TOML, and the blocks that follow from it."""
+    """The file as TOML, and the blocks computed from it."""
     text = toml_text(restore_table(blocks, TIMEOUTS, CATALOGUE), "Read back")
     again: dict[str, Any] = tomllib.loads(text)
     return again, blocks_of(again)
 
 
-def test_the_committed_file_comes_back_with_its_numbers() -> None:
+def test_the_committed_file_is_restored_with_its_numbers() -> None:
     blocks = blocks_of(table())
     again, same = read_back(blocks)
     assert same == blocks
@@ -68,19 +68,19 @@ def motors(count: int) -> list[dict[str, Any]]:
     return found
 
 
-def test_any_motor_comes_back_bit_for_bit() -> None:
+def test_any_motor_is_restored_bit_for_bit() -> None:
     tried = 0
     for source in motors(40):
         try:
             blocks = blocks_of(source)
         except ConfigError:
-            continue  # not every motor can be tuned so
+            continue  # not every motor can be tuned with these bandwidths
         tried += 1
         assert read_back(blocks)[1] == blocks
     assert tried >= 15
 
 
-def test_numbers_that_no_file_gives_stand_as_they_are() -> None:
+def test_numbers_without_a_file_entry_are_kept_exactly() -> None:
     blocks = blocks_of(table())
     blocks[0]["current_loop.q.kp"] += 12345
     blocks[0]["emf_check.ticks_check"] = 9
@@ -90,7 +90,7 @@ def test_numbers_that_no_file_gives_stand_as_they_are() -> None:
     assert again["axis1"]["emf_check"]["check_time"] == pytest.approx(0.0045)
 
 
-def test_exact_numbers_take_the_place_of_what_is_computed() -> None:
+def test_exact_numbers_replace_computed_ones() -> None:
     kp = axis(1).block["speed.kp"]
     assert axis(1, axis1__exact={"speed.kp": kp + 7}).block["speed.kp"] == kp + 7
     assert axis(2, axis1__exact={"speed.kp": kp + 7}).block["speed.kp"] != kp + 7
@@ -107,13 +107,13 @@ def test_exact_numbers_take_the_place_of_what_is_computed() -> None:
         (5, r"axis1\.exact"),
     ],
 )
-def test_exact_numbers_that_a_board_does_not_take_are_refused(exact: object, reason: str) -> None:
+def test_exact_numbers_out_of_the_range_of_the_board_are_refused(exact: object, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason):
         configuration(axis1__exact=exact)
 
 
-def test_the_tuning_code_refuses_what_a_board_would() -> None:
-    """25 pole pairs fit every format, and no sum of the board."""
+def test_the_tuning_code_refuses_a_motor_that_the_board_would_refuse() -> None:
+    """25 pole pairs fit every format, but exceed a sum on the board."""
     limit = AxisConfigTable.load().members["encoder.pole_pairs"].maximum
     with pytest.raises(ConfigError, match="axis1"):
         axis(1, axis1__motor__pole_pairs=limit + 1, axis1__motor__psi_m=0.001)

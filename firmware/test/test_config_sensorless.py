@@ -1,4 +1,4 @@
-"""The sensorless part of the tuning tool: gains by hand, poles and angle errors against simulation, other motors."""
+"""Sensorless part of the tuning tool: gains by hand, poles and angle errors against simulation, other motors."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ def test_observer_constants_place_the_pole(constants: dict[str, Any]) -> None:
     assert constants["observer.k2"] / 2.0**28 == pytest.approx((1.0 - pole) ** 2 / B * I_FS / U_FS, rel=1e-6)
 
 
-def test_phase_locked_loop(constants: dict[str, Any]) -> None:
-    """The slide's I gain, in the library's units: 1506742 f_max / f_s^2 over 2^18, 2^16 a turn, e of f_max is 2^15."""
-    f_max = P * 4000.0  # electrical turns per minute
+def test_gains_of_the_phase_locked_loop_are_those_of_the_slide(constants: dict[str, Any]) -> None:
+    """I gain of the slide in library units: 1506742 f_max / f_s^2 over 2^18; 2^16 per revolution; e(f_max) = 2^15."""
+    f_max = P * 4000.0  # electrical revolutions per minute
     i_gain = 1506742.0 * f_max * T**2
     omega_max = f_max * 2.0 * math.pi / 60.0
     square = i_gain * 2.0**15 / 2.0**18 * 2.0 * math.pi / 2.0**16 / T**2
     per_speed = square / omega_max
     assert per_speed == pytest.approx(172.43, rel=1e-4)
-    omega_n = math.sqrt(per_speed * U_FS / PSI)  # where the back-EMF has the full scale
+    omega_n = math.sqrt(per_speed * U_FS / PSI)  # speed at which the back-EMF is at full scale
     per_error = 2.0**32 / (2.0 * math.pi) / 2.0 ** (14 + 11)
     assert constants["pll.ki"] / 2.0**24 == pytest.approx((omega_n * T) ** 2 * per_error, rel=1e-5)
     assert constants["pll.kp"] / 2.0**24 == pytest.approx(2.0 * omega_n * T * per_error, rel=1e-5)
@@ -68,10 +68,10 @@ def test_phase_locked_loop(constants: dict[str, Any]) -> None:
     assert constants["pll.acceleration"] == pytest.approx(gained, rel=1e-6)
     learnt = omega_n**3 / 8.0 * 0.5e-3 * 0.5e-3 * T / (2.0 * math.pi) * 2.0**32
     assert constants["pll.load_gain"] == pytest.approx(learnt, rel=1e-5)
-    left = math.exp(-2.0 * math.pi * 75.0 * 0.5e-3)
-    per_emf = U_FS / 2.0**23 / PSI * T / (2.0 * math.pi) * 2.0**32  # step of the speed that has the least back-EMF
-    assert constants["pll.amplitude_gain"] / 2.0**24 == pytest.approx((1.0 - left**2) * per_emf, rel=1e-5)
-    assert constants["pll.amplitude_load_gain"] / 2.0**24 == pytest.approx((1.0 - left) ** 2 * per_emf, rel=1e-5)
+    decay = math.exp(-2.0 * math.pi * 75.0 * 0.5e-3)
+    per_emf = U_FS / 2.0**23 / PSI * T / (2.0 * math.pi) * 2.0**32  # step at the speed of the smallest back-EMF
+    assert constants["pll.amplitude_gain"] / 2.0**24 == pytest.approx((1.0 - decay**2) * per_emf, rel=1e-5)
+    assert constants["pll.amplitude_load_gain"] / 2.0**24 == pytest.approx((1.0 - decay) ** 2 * per_emf, rel=1e-5)
     assert constants["pll.offset_gain"] / 2.0**24 == pytest.approx(0.5e-3 / 0.128 / per_emf, rel=1e-3)
 
 
@@ -100,15 +100,15 @@ def test_start_up_constants_follow_from_motor_and_load(constants: dict[str, Any]
     assert constants["startup.damping"] / 2.0**24 * I_FS / U_FS == pytest.approx(damping, rel=1e-6)
 
 
-def test_damping_of_the_swing_is_the_one_that_is_asked_for() -> None:
-    """J d2 = -p K_t (I d + i), i = k psi d', d the electrical angle by which the rotor trails the vector."""
+def test_oscillation_of_the_rotor_has_the_requested_damping() -> None:
+    """J d'' = -p K_t (I d + i), i = k psi d'; d: electrical lag of the rotor behind the vector."""
     start_up = axis().sensorless.start_up
     stiffness = P * 3.0 * PSI * start_up.current_final / 0.8e-5
     rate = P * 3.0 * PSI * start_up.damping * PSI / 0.8e-5
     assert rate / (2.0 * math.sqrt(stiffness)) == pytest.approx(0.7, rel=1e-9)
 
 
-def test_a_speed_time_takes_the_place_of_swings() -> None:
+def test_a_speed_time_replaces_the_number_of_oscillations() -> None:
     assert axis(axis1__start_up__speed_time=0.4).sensorless.start_up.speed_time == 0.4
 
 
@@ -124,19 +124,19 @@ def test_typed_gains_are_those_of_the_slide() -> None:
 
 
 @pytest.mark.parametrize(("bandwidth", "damping"), [(500.0, 1.0), (300.0, 0.5), (700.0, 2.0)])
-def test_poles_at_standstill_lie_where_they_are_asked_for(bandwidth: float, damping: float) -> None:
+def test_poles_at_standstill_have_the_requested_bandwidth_and_damping(bandwidth: float, damping: float) -> None:
     observer = axis(axis1__observer__bandwidth=bandwidth, axis1__observer__damping=damping).sensorless.observer
     omega = 2.0 * math.pi * bandwidth
     root = cmath.sqrt(damping**2 - 1.0)
-    wanted = [cmath.exp((-R / (2.0 * L) - omega * (damping + sign * root)) * T) for sign in (-1, 1)]
+    expected = [cmath.exp((-R / (2.0 * L) - omega * (damping + sign * root)) * T) for sign in (-1, 1)]
     found = observer.poles(0.0)
-    assert sum(found) == pytest.approx(sum(wanted), abs=1e-6)
-    assert found[0] * found[1] == pytest.approx(wanted[0] * wanted[1], abs=1e-6)
+    assert sum(found) == pytest.approx(sum(expected), abs=1e-6)
+    assert found[0] * found[1] == pytest.approx(expected[0] * expected[1], abs=1e-6)
 
 
 @pytest.mark.parametrize("omega_e", [0.0, 100.0, 628.0])
 def test_an_error_of_the_estimate_decays_like_the_slower_pole(omega_e: float) -> None:
-    """The observer as it is computed, on a winding without current and back-EMF."""
+    """Equations of the observer on a winding without current and back-EMF."""
     observer = axis().sensorless.observer
     current, emf, sizes = 1.0 + 0.5j, 0.3 - 2.0j, []
     for _ in range(200):
@@ -150,7 +150,7 @@ def test_an_error_of_the_estimate_decays_like_the_slower_pole(omega_e: float) ->
 def observed_emf(
     observer: BackEmfObserver, omega_e: float, i_q: float, r_s: float, l_q: float, psi: float
 ) -> tuple[complex, complex]:
-    """Back-EMF that it sees in the steady state, and the true one, both at the same angle.
+    """Observed back-EMF in the steady state, and the true one, both at the same angle.
 
     Voltage and back-EMF are means over a period: half a period ahead of the sample at its beginning.
     """
@@ -162,7 +162,7 @@ def observed_emf(
         error = i_est - current
         e_est = (e_est + observer.k2 * error) * turn
         i_est = observer.a * (i_est + observer.k1 * error) + observer.b * (voltage * ahead - e_est)
-        i_est, e_est = i_est / turn, e_est / turn  # seen from the rotor
+        i_est, e_est = i_est / turn, e_est / turn  # in the rotor frame
     return e_est * ahead, emf
 
 
@@ -177,7 +177,7 @@ def test_angle_error_of_another_winding(factors: tuple[float, float], speed: flo
     assert math.remainder(found - predicted, 2.0 * math.pi) == pytest.approx(0.0, abs=math.radians(0.2))
 
 
-def test_only_the_inductance_turns_the_angle() -> None:
+def test_only_the_inductance_causes_an_angle_error() -> None:
     it = axis()
     assert angle_error(it.axis, 314.0, 2.0, 1.5, 1.0) == pytest.approx(angle_error(it.axis, 314.0, 2.0), rel=0.15)
     assert math.degrees(angle_error(it.axis, 314.0, 2.0, 1.0, 1.5)) == pytest.approx(2.31, abs=0.01)
@@ -186,7 +186,7 @@ def test_only_the_inductance_turns_the_angle() -> None:
 # ---- figures and findings -------------------------------------------------------------------------------------------
 
 
-def test_figures_of_the_committed_motor() -> None:
+def test_committed_motor_has_large_margins_and_no_warning() -> None:
     figures = assess(axis(**SLIDE)).sensorless
     assert figures.trouble is None
     assert {(entry.r_s, entry.inductance) for entry in figures.poles} >= {(1.0, 1.0), (0.5, 1.0), (1.0, 1.5)}
@@ -198,17 +198,17 @@ def test_figures_of_the_committed_motor() -> None:
     assert all(phase is not None and phase > 60.0 for phase in phases)
 
 
-def test_a_loop_that_is_told_nothing_of_the_torque_has_little_phase_at_low_speed() -> None:
-    told, untold = (
+def test_loop_without_torque_feed_forward_has_less_phase_margin_at_low_speed() -> None:
+    full, partial = (
         assess(axis(axis1__observer__pll_torque=part, axis1__feedback="observer")).sensorless.locks[0]
         for part in (1, 0.3)
     )
-    assert told.speed_margins.phase is not None
-    assert untold.speed_margins.phase is not None
-    assert untold.speed_margins.phase < told.speed_margins.phase - 10.0
+    assert full.speed_margins.phase is not None
+    assert partial.speed_margins.phase is not None
+    assert partial.speed_margins.phase < full.speed_margins.phase - 10.0
 
 
-def test_gains_that_another_winding_makes_unstable_are_found() -> None:
+def test_gains_unstable_with_another_winding_cause_a_warning() -> None:
     it = axis(axis1__observer__k_1=-5200.0, axis1__observer__k_2=3.1e5)
     assert any(
         "with R x 1 and L x 0.5 the gains of the observer are unstable" in finding
@@ -216,8 +216,8 @@ def test_gains_that_another_winding_makes_unstable_are_found() -> None:
     )
 
 
-def test_a_sign_that_is_certain_too_soon_is_found() -> None:
-    """24 V for 1 us change the current of 0.15 mH by 0.16 A."""
+def test_too_small_sign_current_causes_a_warning() -> None:
+    """24 V for 1 us change the current in 0.15 mH by 0.16 A."""
     it = axis(axis1__motor__l_d=0.15e-3)
     found = [finding for finding in findings(it, assess(it)) if "sign_current" in finding]
     assert len(found) == 1
@@ -227,8 +227,8 @@ def test_a_sign_that_is_certain_too_soon_is_found() -> None:
     assert not any("sign_current" in finding for finding in findings(cured, assess(cured)))
 
 
-def test_a_winding_whose_warmth_hides_the_back_emf_is_found() -> None:
-    """A quarter of 2.2 ohm times 4 A are 2.2 V, the back-EMF of 0.0308 V s at 71.4 rad/s, 23 % of the speed limit."""
+def test_a_resistance_error_above_the_back_emf_causes_a_warning() -> None:
+    """25 % of 2.2 ohm at 4 A: 2.2 V, the back-EMF of 0.0308 V s at 71.4 rad/s, 23 % of the speed limit."""
     it = axis(axis1__motor__r_s=2.2)
     assert it.trouble is None
     found = [finding for finding in findings(it, assess(it)) if "exceeds the back-EMF" in finding]
@@ -246,7 +246,7 @@ LITTLE_FLUX: dict[str, object] = {
 }
 
 
-def test_a_flux_too_small_to_tell_a_held_shaft_is_found() -> None:
+def test_a_flux_too_small_for_the_blocked_shaft_test_causes_a_warning() -> None:
     it = axis(**LITTLE_FLUX)
     seen = 0.3 * 0.004 * math.radians(it.axis("rotor_search.turn_angle")) / 0.1
     found = [finding for finding in findings(it, assess(it)) if "following rotor" in finding]
@@ -257,8 +257,8 @@ def test_a_flux_too_small_to_tell_a_held_shaft_is_found() -> None:
     assert not any("following rotor" in finding for finding in findings(cured, assess(cured)))
 
 
-def test_a_back_emf_too_small_to_tell_of_the_speed_is_found() -> None:
-    """0.35 V over 2 x 0.004 V s are 43.7 rad/s, 14 % of the speed limit."""
+def test_a_back_emf_too_small_for_the_amplitude_correction_causes_a_warning() -> None:
+    """0.35 V / (2 x 0.004 V s) = 43.7 rad/s, 14 % of the speed limit."""
     it = axis(**LITTLE_FLUX)
     found = [finding for finding in findings(it, assess(it)) if "pll_size" in finding]
     assert len(found) == 1
@@ -267,8 +267,8 @@ def test_a_back_emf_too_small_to_tell_of_the_speed_is_found() -> None:
     assert not any("pll_size" in finding for finding in findings(cured, assess(cured)))
 
 
-def test_a_minimum_speed_that_dead_time_looks_like_is_found() -> None:
-    """The same 43.7 rad/s where the start-up is content with 4 % of the limit."""
+def test_a_minimum_speed_within_the_dead_time_error_causes_a_warning() -> None:
+    """The same 43.7 rad/s, with a minimum speed of 4 % of the speed limit."""
     it = axis(**LITTLE_FLUX)
     assert it.sensorless.start_up.minimum_speed == pytest.approx(0.04 * it.axis("limits.speed"))
     found = [finding for finding in findings(it, assess(it)) if "minimum_speed" in finding]
@@ -279,7 +279,7 @@ def test_a_minimum_speed_that_dead_time_looks_like_is_found() -> None:
     assert not any("minimum_speed" in finding for finding in findings(cured, assess(cured)))
 
 
-def test_pole_that_turns_with_the_frame_has_no_partner() -> None:
+def test_pole_that_rotates_with_the_frame_has_no_conjugate() -> None:
     assert not pole_of(complex(0.9), T).pair
 
 
@@ -288,7 +288,7 @@ def test_pole_that_turns_with_the_frame_has_no_partner() -> None:
 FAST_WINDING: dict[str, object] = {"axis1__motor__r_s": 6.0}
 
 
-def test_a_motor_that_cannot_be_observed_still_has_its_encoder() -> None:
+def test_a_motor_unsuitable_for_the_observer_runs_with_its_encoder() -> None:
     it = axis(**FAST_WINDING)
     assert it.trouble is not None
     assert {field: raw for field in FIELDS if (raw := it.constants[field]) != 0} == {"observer.f2": F2}
@@ -296,12 +296,12 @@ def test_a_motor_that_cannot_be_observed_still_has_its_encoder() -> None:
 
 
 @pytest.mark.parametrize("wish", [{"axis1__feedback": "observer"}])
-def test_without_its_encoder_it_is_refused(wish: dict[str, object]) -> None:
+def test_a_motor_unsuitable_for_the_observer_is_refused_without_an_encoder(wish: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=r"^axis1: R T / L of the observer = 0\.5.*correct motor\.r_s"):
         axis(**FAST_WINDING, **wish)
 
 
-def test_feedback_is_one_of_two() -> None:
+def test_feedback_is_encoder_or_observer() -> None:
     assert axis(axis1__feedback="observer").constants["feedback"] == 1
     assert axis(2, axis1__feedback="observer").constants["feedback"] == 0
     assert axis(defaults__feedback="encoder").constants["feedback"] == 0
@@ -318,13 +318,15 @@ def test_feedback_is_one_of_two() -> None:
     st.floats(0.3, 2.0),
     st.floats(0, 1e3),
 )
-def test_poles_of_any_motor_lie_inside(r_s: float, l_s: float, bandwidth: float, damping: float, omega: float) -> None:
+def test_poles_of_any_motor_are_inside_the_unit_circle(
+    r_s: float, l_s: float, bandwidth: float, damping: float, omega: float
+) -> None:
     changes: dict[str, object] = {"axis1__motor__r_s": r_s, "axis1__motor__l_d": l_s, "axis1__motor__l_q": l_s}
     changes |= {"axis1__observer__bandwidth": bandwidth, "axis1__observer__damping": damping}
     try:
         it = axis(**changes)
     except ConfigError:
-        return  # test_config_motors.py looks at refusals
+        return  # test_config_motors.py tests refusals
     observer = it.designed_sensorless.observer
     assert observer.k1 < 0.0 < observer.k2
     assert observer.radius(0.0) < 1.0
@@ -336,7 +338,7 @@ def test_poles_of_any_motor_lie_inside(r_s: float, l_s: float, bandwidth: float,
 # ---- the C ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_numbers_fit_the_structure(compile_c: CompileC) -> None:
+def test_sensorless_constants_fit_the_structure(compile_c: CompileC) -> None:
     core: Core = load_core(compile_c)
     config = core.ffi.new("servo_config_t *")
     for field in FIELDS:

@@ -1,4 +1,4 @@
-"""tune.py as a command: what it prints, writes and returns; the committed integers are those it computes."""
+"""tune.py as a command: output, files and exit status; the committed integers are up to date."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TEXT = FILE.read_text(encoding="utf-8")
 
 
 def written(folder: Path, pattern: str = "", replacement: str = "") -> Path:
-    """A copy of servo.toml, with one place changed."""
+    """A copy of servo.toml with one changed line."""
     text, count = re.subn(pattern, replacement, TEXT, count=1, flags=re.MULTILINE) if pattern else (TEXT, 1)
     assert count == 1, pattern
     path = folder / "servo.toml"
@@ -42,7 +42,7 @@ def generate(config: Path, *options: str) -> int:
 def test_committed_files_are_up_to_date(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--check"]) == 0
     assert codegen.main(["--check"]) == 0
-    assert capsys.readouterr().err == "", "the committed configuration deserves no warning"
+    assert capsys.readouterr().err == "", "the committed configuration causes no warning"
 
 
 def test_refusal_is_printed_and_nothing_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,7 +59,7 @@ def test_refusal_is_printed_and_nothing_is_written(tmp_path: Path, capsys: pytes
     assert capsys.readouterr().err == captured.err
 
 
-def test_broken_toml_and_missing_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_toml_and_missing_file_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     broken = tmp_path / "servo.toml"
     broken.write_bytes(b"[board\n")
     assert generate(broken) == 1
@@ -89,7 +89,7 @@ def test_check_finds_a_stale_file(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert generate(config, "--check") == 0
 
 
-def test_warnings_do_not_stop_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_warnings_do_not_prevent_writing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = written(tmp_path, r"^position_gain     = 60.0", "position_gain = 200.0")
     assert generate(config) == 0
     assert config.with_suffix(".c").exists()
@@ -98,8 +98,8 @@ def test_warnings_do_not_stop_it(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert any("control.position_gain" in line and "K_v T" in line for line in lines)
 
 
-def test_it_runs_as_a_script_beside_the_contract_alone() -> None:
-    """As `make generate` calls it: nothing of ours is installed."""
+def test_tool_runs_as_a_script_with_the_contract_alone() -> None:
+    """As called by `make generate`: no package of the project is installed."""
     environment = {**os.environ, "PYTHONPATH": str(Path(servo_msgs_py.__file__).parents[1])}
     script = FIRMWARE / "config" / "tune.py"
     result = subprocess.run(
@@ -132,7 +132,7 @@ def test_wrong_usage_exits_with_2(arguments: list[str], capsys: pytest.CaptureFi
 # ---- report ---------------------------------------------------------------------------------------------------------
 
 
-def test_report_names_what_a_user_looks_for(capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_contains_the_main_figures(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report"]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
@@ -141,11 +141,11 @@ def test_report_names_what_a_user_looks_for(capsys: pytest.CaptureFixture[str]) 
         assert words in captured.out, words
     speed_kp = re.search(r"\.speed = {(\d+),", GENERATED.read_text(encoding="utf-8"))
     assert speed_kp is not None
-    assert speed_kp[1] in captured.out, "the integers that are used"
+    assert speed_kp[1] in captured.out, "the integers in use"
     assert max(map(len, captured.out.splitlines())) <= 120
 
 
-def test_report_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_can_be_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert list(figures) == ["axis1", "axis2"]
@@ -156,7 +156,7 @@ def test_report_as_json(capsys: pytest.CaptureFixture[str]) -> None:
         assert all(abs(complex(*pole["z"])) < 1.0 for loop in axis["loops"] for pole in loop["poles"])
 
 
-def test_report_as_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_can_be_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "new" / "tuning.png"
     assert main(["report", "--plot", str(picture)]) == 0
@@ -186,7 +186,7 @@ U_FS, I_FS, W_FS = 24.2, 8.25, 5000.0 * math.pi / 30.0
 
 
 def value(path: str, section: str = "") -> float:
-    """A number of servo.toml, found by text: independently of the tool."""
+    """A number of servo.toml, read from its text, independent of the tool."""
     start = TEXT.index(f"[{section}]") if section else 0
     found = re.compile(rf"^{path}\s*=\s*(\S+)", re.MULTILINE).search(TEXT, start)
     assert found is not None
@@ -211,7 +211,7 @@ def test_gains_follow_from_bandwidth_and_motor(axes: Any) -> None:
         assert axis.torque_constant / Q15 == pytest.approx(k_t, rel=5e-4)
 
 
-def test_limits_and_sensing(axes: Any) -> None:
+def test_limits_and_sensing_are_scaled_correctly(axes: Any) -> None:
     axis = axes[0]
     assert axis.u_dc_max / Q15 * 36.3 == pytest.approx(33.0, abs=1e-3)
     assert axis.u_dc_min / Q15 * 36.3 == pytest.approx(16.0, abs=1e-3)
@@ -232,8 +232,8 @@ def test_feed_forward_constants_follow_from_friction_and_inertia(axes: Any) -> N
     assert axis.acceleration_forward / 65536 * I_FS / (W_FS / 0.5e-3) == pytest.approx(0.8e-5 / k_t, rel=1e-6)
 
 
-def test_path_asks_for_no_more_acceleration_than_the_current_gives(axes: Any) -> None:
-    """omega_n = e a_max / v_max: E40's steepest slope of a speed step v is v omega_n / e."""
+def test_path_needs_no_more_acceleration_than_the_current_gives(axes: Any) -> None:
+    """omega_n = e a_max / v_max: the largest slope of E40 after a speed step v is v omega_n / e."""
     for axis, k_t, inertia in zip(axes, (0.0462, 0.0414), (0.8e-5, 1.2e-5), strict=True):
         omega_n = axis.path_omega_n_ts / 65536 / 0.5e-3
         assert 314.0 * omega_n / math.e <= k_t * 4.0 / inertia * 0.51

@@ -37,7 +37,7 @@ class Model:
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), step=st.integers(-70_000_000, 70_000_000))
-def test_it_is_its_equations(core: Core, seed: int, step: int) -> None:
+def test_observer_agrees_with_its_equations(core: Core, seed: int, step: int) -> None:
     estimator = Estimator(core)
     config = core.ffi.addressof(estimator.config, "observer")
     model = Model(estimator.config.observer, step)
@@ -58,8 +58,8 @@ def test_it_is_its_equations(core: Core, seed: int, step: int) -> None:
 
 @settings(max_examples=30)
 @given(signs=st.lists(st.tuples(*4 * [st.sampled_from([-32768, 32767])]), min_size=1, max_size=6), step=FULL16)
-def test_no_signal_leaves_the_range(core: Core, signs: list[tuple[int, int, int, int]], step: int) -> None:
-    """Sixteen times the full scale fits; the worst that a converter and a modulator can say needs less than ten."""
+def test_signals_stay_within_their_range(core: Core, signs: list[tuple[int, int, int, int]], step: int) -> None:
+    """Sixteen times the full scale fits; the largest inputs of converter and modulator need less than ten."""
     estimator = Estimator(core)
     config = core.ffi.addressof(estimator.config, "observer")
     core.lib.back_emf_observer_set_speed(estimator.observer, step * 65536)
@@ -75,7 +75,7 @@ def test_no_signal_leaves_the_range(core: Core, signs: list[tuple[int, int, int,
 @pytest.mark.parametrize("omega", [40.0, -40.0, 200.0, 730.0, -730.0])
 @pytest.mark.parametrize("i_q", [0.0, 2.0])
 def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
-    """Angle and size at any speed and current, in the frame of DRM E13: e = j omega psi exp(j theta)."""
+    """Angle and amplitude at any speed and current, in the frame of DRM E13: e = j omega psi exp(j theta)."""
     rig = Rig(core)
     rig.estimator.start(0.3, omega)
 
@@ -94,22 +94,24 @@ def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
 
 
 @pytest.mark.parametrize(("r", "l_s", "maximum"), [(0.5, 1.0, 1.0), (1.5, 1.0, 1.0), (1.0, 0.5, 4.0), (1.0, 1.5, 4.0)])
-def test_a_wrong_nominal_value_turns_the_angle_as_on_paper(core: Core, r: float, l_s: float, maximum: float) -> None:
+def test_angle_error_by_a_wrong_nominal_value_agrees_with_theory(
+    core: Core, r: float, l_s: float, maximum: float
+) -> None:
     """ST slide "控制性能介绍": low sensitivity to R_s, moderate to L_s.
 
-    With i_d = 0, R changes only the size of e, and L turns it by delta_L i_q / psi.
+    With i_d = 0, R changes only the amplitude of e, and L rotates it by delta_L i_q / psi.
     """
     rig = Rig(core, R * r, L * l_s)
     omega, i_q = 300.0, 2.0
     rig.estimator.start(0.0, omega)
-    for _ in range(16000):  # the PLL has to learn first what the size is off by
+    for _ in range(16000):  # time for the PLL to estimate the amplitude error
         rig.step(lambda t: omega * t, i_q)
     error = math.degrees(rig.angle_error(lambda t: omega * t))
     assert abs(error) < maximum
     assert error == pytest.approx(math.degrees(L * (l_s - 1.0) * i_q / PSI), abs=0.4)
 
 
-def test_a_turn_is_exact(core: Core) -> None:
+def test_rotation_of_the_back_emf_is_exact(core: Core) -> None:
     observer = core.ffi.new("back_emf_observer_t *")
     for step in (0, 1, -12345, 44_739_243, -89_478_485, 160_000_000):
         core.lib.back_emf_observer_set_speed(observer, step)

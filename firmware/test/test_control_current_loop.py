@@ -34,7 +34,7 @@ OMEGA_FS = 2 * 5000.0 * math.pi / 30.0  # electrical
 BUS_24V = 21664
 SQRT3 = math.sqrt(3.0)
 LINEAR = int(SQRT3 / 2.0 * 32768)
-MOTOR = {"r": 0.55, "l_d": 0.403e-3, "l_q": 0.512e-3, "psi": 0.0154}  # what servo.toml assumes of axis 1
+MOTOR = {"r": 0.55, "l_d": 0.403e-3, "l_q": 0.512e-3, "psi": 0.0154}  # nominal values of axis 1 in servo.toml
 
 
 def frac16(x: float) -> int:
@@ -79,7 +79,7 @@ def dq_volts(out: Any) -> complex:
 
 
 def stator_volts(out: Any, bus: int) -> complex:
-    """Mean stator voltage that the duties give on this bus [V]."""
+    """Mean stator voltage of the duties at this bus voltage [V]."""
     a = complex(-0.5, SQRT3 / 2.0)
     duty = (out.modulation.duty.a, out.modulation.duty.b, out.modulation.duty.c)
     return complex(2.0 / 3.0 * bus / 32768 * UDC_FS * sum(d / 32767 * a**k for k, d in enumerate(duty)))
@@ -99,9 +99,9 @@ def check_controller(
     """
     integral = before[0] + (error * config.ki + before[1] * config.kc) / GAIN_ONE
     integral = min(max(integral, -(2.0**31)), 2.0**31 - 1.0)
-    wanted = error * config.kp / GAIN_ONE + integral + forward
-    voltage = min(max(wanted, -limit * 65536.0), limit * 65536.0)
-    excess = min(max(voltage - wanted, -(2.0**31)), 2.0**31 - 1.0)
+    requested = error * config.kp / GAIN_ONE + integral + forward
+    voltage = min(max(requested, -limit * 65536.0), limit * 65536.0)
+    excess = min(max(voltage - requested, -(2.0**31)), 2.0**31 - 1.0)
     assert abs(after.integral / GAIN_ONE - integral) <= 3.0
     assert abs(after.excess - excess) <= 8.0 or (after.excess == 0 and abs(excess) <= 32768)
     assert abs(out - min(max(voltage / 65536.0, MIN16), MAX16)) <= 0.501
@@ -132,7 +132,7 @@ def test_a_step_stays_close_to_reals_over_the_whole_range(
     """One step from any input and any state, stage by stage against reals.
 
     Current: 3.3 LSB (clarke half an LSB in both components, rotation 2.52). Controllers: see `check_controller`, from
-    the measured current. Duties: what 2.52 LSB and half an LSB of the angle mean on this bus, and 2.3 LSB of the SVM.
+    the measured current. Duties: 2.52 LSB of the voltage, half an LSB of the angle, and 2.3 LSB of the SVM.
     """
     config: Any = core.ffi.new("current_loop_config_t *", core.lib.probe_config().axis[axis].current_loop)
     if modulation_limit is not None:
@@ -161,12 +161,12 @@ def test_a_step_stays_close_to_reals_over_the_whole_range(
 
     u = complex(out.voltage.d, out.voltage.q)
     angle = math.pi * (theta / 32768 + real_times(omega * 65536, config.angle_step) / 2**31)
-    wanted = u / bus * complex(math.cos(angle), math.sin(angle))
+    requested = u / bus * complex(math.cos(angle), math.sin(angle))
     duty = [out.modulation.duty.a, out.modulation.duty.b, out.modulation.duty.c]
     a120 = complex(-0.5, SQRT3 / 2.0)
     got = sum(d * a120**k for k, d in enumerate(duty))
     off = (2.52 * math.sqrt(2.0) + abs(u) * math.pi / 65536) * 32768 / bus + 1.5 + 3.0 * 2.3
-    assert abs(got - wanted * 32767) <= off
+    assert abs(got - requested * 32767) <= off
 
 
 class Model:
@@ -191,9 +191,9 @@ class Model:
 
     def _limited(self, k: int, sum_: int, limit: int) -> int:
         """E37 with 31 bits, the result with 15."""
-        wanted = nearest(sum_, GAIN_ONE)
-        out = clip(wanted, -limit * 2**16, limit * 2**16)
-        self.excess[k] = clip32(out - wanted)
+        requested = nearest(sum_, GAIN_ONE)
+        out = clip(requested, -limit * 2**16, limit * 2**16)
+        self.excess[k] = clip32(out - requested)
         return narrow(out)
 
     def _ahead(self, theta: int, omega: int) -> dict[str, int]:
@@ -262,7 +262,7 @@ def test_agrees_with_integers_in_every_bit(
     small: bool,
     dead_time: bool,
 ) -> None:
-    """Any gains that one sum has room for, any input, both within the circle (small numbers) and on it."""
+    """Any gains that fit one sum, any input, within the voltage circle (small numbers) and on it."""
     config: Any = core.ffi.new("current_loop_config_t *", core.lib.probe_config().axis[0].current_loop)
     scale = 64 if small else 1
     (config.d.kp, config.d.ki, config.d.kc), (config.q.kp, config.q.ki, config.q.kc) = (
@@ -290,8 +290,8 @@ def test_agrees_with_integers_in_every_bit(
 
 @given(omega=I16, angle_step=I32)
 @settings(max_examples=200)
-def test_every_bit_of_a_turn(core: Core, omega: int, angle_step: int) -> None:
-    """What follows from the speed: itself, and sine and versine of the nearest angle per period."""
+def test_every_bit_of_the_rotation_per_period(core: Core, omega: int, angle_step: int) -> None:
+    """Values computed from the speed: rotation per period, its sine and versine for the nearest angle."""
     config: Any = core.ffi.new("current_loop_config_t *", core.lib.probe_config().axis[0].current_loop)
     config.angle_step = angle_step
     loop: Any = core.ffi.new("current_loop_t *")
@@ -303,10 +303,10 @@ def test_every_bit_of_a_turn(core: Core, omega: int, angle_step: int) -> None:
 
 @given(theta=I16, turn=edges(-(2**14), 2**14))
 @settings(max_examples=400)
-def test_angle_of_the_duties(core: Core, theta: int, turn: int) -> None:
-    """Up to a quarter of a turn ahead: at most 3.5 LSB off the sine and cosine of the sum of both angles.
+def test_angle_advance_of_the_duties(core: Core, theta: int, turn: int) -> None:
+    """Up to a quarter revolution ahead: at most 3.5 LSB off the sine and cosine of the sum of both angles.
 
-    1.01 LSB of the sine and cosine here, 1.5 of those of the turn, half of one for the rounding, less for 1 - cosine.
+    1.01 LSB of sine and cosine, 1.5 LSB of those of the rotation, 0.5 LSB of the rounding, less for 1 - cosine.
     """
     sin_cos = core.lib.sin_cos
     loop: Any = core.ffi.new("current_loop_t *", {"rotation_sin": sin_cos(turn).sin})
@@ -324,7 +324,7 @@ def test_angle_of_the_duties(core: Core, theta: int, turn: int) -> None:
 @example(u=4096, bus=16385)  # a half, upwards
 @example(u=-4096, bus=16385)
 @settings(max_examples=200)
-def test_part_of_the_bus(core: Core, u: int, bus: int) -> None:
+def test_every_ratio_of_voltage_and_bus_is_within_its_bound(core: Core, u: int, bus: int) -> None:
     """u / u_dc: half an LSB, and up to 2 for the truncated reciprocal."""
     part = core.lib.current_loop_over_bus(u, 2**29 // bus)
     assert part == clip16(nearest(u * (2**29 // bus), 2**14))
@@ -361,7 +361,7 @@ def test_a_reset_clears_currents_voltages_and_integrators(core: Core) -> None:
 def test_the_voltage_stays_within_a_circle(
     core: Core, i: tuple[float, float], reference: tuple[float, float], theta: float, omega: float, bus: int
 ) -> None:
-    """A circle below the linear range, whatever is asked; and duties that leave two low sides time for a sample."""
+    """A circle below the linear range for any input, with duties that leave two low sides on for a sample."""
     loop = Loop(core)
     for _ in range(3):
         out = loop.step(complex(*i), complex(*reference), theta, omega, bus)
@@ -377,7 +377,7 @@ def test_the_voltage_stays_within_a_circle(
 
 @pytest.mark.parametrize("omega", [0.0, 600.0, -600.0])
 def test_step_response_on_a_motor(core: Core, omega: float) -> None:
-    """Closed over E18..E21 with half a period of delay: i_q steps to 2 A at 1 kHz bandwidth, i_d hardly changes."""
+    """Closed loop with E18..E21 and half a period of delay: i_q steps to 2 A at 1 kHz bandwidth, i_d hardly changes."""
     loop, ts, steps = Loop(core), 1.0 / 16000.0, 10
     i, theta, duty_volts = 0j, 0.3, 0j
     log = []
@@ -407,7 +407,7 @@ def test_anti_windup_of_the_current_loop(core: Core) -> None:
     """After a second at the voltage limit the loop leaves it within a few periods."""
     loop = Loop(core)
     for _ in range(2000):
-        out = loop.step(reference=4.0j)  # the current does not come: locked at the limit
+        out = loop.step(reference=4.0j)  # no current: the loop stays at the voltage limit
     assert out.limited
     for _ in range(3):
         out = loop.step(i_dq=4.5j, reference=4.0j)

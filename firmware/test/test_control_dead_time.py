@@ -1,4 +1,4 @@
-"""Compensation of dead time and switch drops: every bit, and the volts of the formula."""
+"""Compensation of dead time and switch drops: every bit, and the voltage of the formula."""
 
 from __future__ import annotations
 

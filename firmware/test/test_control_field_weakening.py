@@ -1,4 +1,4 @@
-"""Field weakening: every bit against integers, the bounds of what it asks for, and the loop on a model of the motor."""
+"""Field weakening: every bit against integers, bounds of its set-points, and the loop on a model of the motor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Q16 = 2**16
 
 @dataclass
 class Config:
-    """``field_weakening_config_t``; by default what servo.toml gives axis 1."""
+    """``field_weakening_config_t``; by default that of axis 1 in servo.toml."""
 
     margin: int = round(0.3 * VOLT)
     gain: int = 257
@@ -46,7 +46,7 @@ class Input:
 
 @dataclass
 class Weakening:
-    """The C, and the same in Python's integers, side by side."""
+    """The C code and the same computation in Python integers."""
 
     core: Core
     config: Config
@@ -70,7 +70,7 @@ class Weakening:
         return lib.field_weakening_i_d(self.state), int(self.state.i_q_max), lib.field_weakening_motoring(self.state)
 
     def expect(self, given: Input) -> tuple[int, int, int]:
-        """The same in integers that do not end."""
+        """The same computation in unlimited integers."""
         c = self.config
         target = max(given.u_max - c.margin, 0)
         end = min(c.i_d_max, given.current - (given.current >> 3)) * Q16
@@ -101,7 +101,7 @@ INPUTS = st.builds(Input, d=I16, q=I16, u_max=FRACTION16, emf=I16, current=FRACT
 @given(config=CONFIGS, inputs=st.lists(INPUTS, min_size=1, max_size=20), current=FRACTION16)
 @settings(max_examples=400)
 def test_agrees_with_integers_in_every_bit(core: Core, config: Config, inputs: list[Input], current: int) -> None:
-    """Over the whole range of everything, with a current limit that stays and one that changes."""
+    """Over the whole range of all inputs, with a constant and a changing current limit."""
     for keeps in (True, False):
         weakening = Weakening(core, config)
         for given_ in inputs:
@@ -110,18 +110,18 @@ def test_agrees_with_integers_in_every_bit(core: Core, config: Config, inputs: l
             i_d, i_q_max, motoring = weakening.step(given_)
             expected = weakening.expect(given_)
             assert i_d == expected[0]
-            assert abs(i_q_max - expected[1]) <= 1  # the root of the core may be one less
+            assert abs(i_q_max - expected[1]) <= 1  # the root of the firmware may be one less
             weakening.q = int(weakening.state.q)
             assert motoring == i_q_max - (weakening.q >> 16)
 
 
 @given(config=CONFIGS, inputs=st.lists(INPUTS, min_size=1, max_size=30))
-def test_stays_within_its_bounds(core: Core, config: Config, inputs: list[Input]) -> None:
-    """Within the circle, never with the flux, no faster than the slew rate, and one of the two at a time."""
+def test_currents_stay_within_their_bounds(core: Core, config: Config, inputs: list[Input]) -> None:
+    """Within the circle, never field-strengthening, within the slew rate; i_q is reduced only at the maximum i_d."""
     weakening = Weakening(core, config)
     before = (0, 0)
     for given_ in inputs:
-        given_.current = max(given_.current, config.i_d_max)  # a limit that falls is followed at once
+        given_.current = max(given_.current, config.i_d_max)  # a falling limit is followed immediately
         i_d, i_q_max, motoring = weakening.step(given_)
         now = int(weakening.state.d), int(weakening.state.q)
         assert -config.i_d_max <= i_d <= 0
@@ -132,7 +132,7 @@ def test_stays_within_its_bounds(core: Core, config: Config, inputs: list[Input]
         before = now
 
 
-def test_first_i_d_then_i_q_and_back_in_the_other_order(core: Core) -> None:
+def test_i_d_is_used_before_i_q_and_released_after_it(core: Core) -> None:
     weakening, config = Weakening(core, Config()), Config()
     long, short = Input(q=round(14.0 * VOLT)), Input(q=round(11.0 * VOLT))
     order = []
@@ -141,7 +141,7 @@ def test_first_i_d_then_i_q_and_back_in_the_other_order(core: Core) -> None:
         order.append((int(weakening.state.d) >> 16, i_q_max - motoring))
     deepest = next(k for k, (d, _) in enumerate(order) if d == config.i_d_max)
     assert all(q == 0 for _, q in order[: deepest + 1])
-    assert order[39] == (config.i_d_max, i_q_of(config, Input().current))  # nothing is left to drive with
+    assert order[39] == (config.i_d_max, i_q_of(config, Input().current))  # no motoring current remains
     given_back = next(k for k, (_, q) in enumerate(order) if k >= 40 and q == 0)
     assert all(d == config.i_d_max for d, _ in order[40 : given_back + 1])
     assert order[-1] == (0, 0)
@@ -154,12 +154,12 @@ def i_q_of(config: Config, current: int) -> int:
 @pytest.mark.parametrize(
     "given_",
     [
-        pytest.param(Input(q=round(14.0 * VOLT), enabled=False), id="switched off"),
+        pytest.param(Input(q=round(14.0 * VOLT), enabled=False), id="disabled"),
         pytest.param(Input(q=round(14.0 * VOLT), emf=round(6.0 * VOLT)), id="a transient at a low speed"),
-        pytest.param(Input(q=round(14.0 * VOLT), emf=-round(6.0 * VOLT)), id="the same the other way round"),
+        pytest.param(Input(q=round(14.0 * VOLT), emf=-round(6.0 * VOLT)), id="the same in the other direction"),
     ],
 )
-def test_is_given_back_at_the_slew_rate(core: Core, given_: Input) -> None:
+def test_field_weakening_is_released_at_the_slew_rate(core: Core, given_: Input) -> None:
     weakening, config = Weakening(core, Config()), Config()
     for _ in range(3):
         weakening.step(Input(q=round(14.0 * VOLT)))
@@ -174,8 +174,8 @@ def test_is_given_back_at_the_slew_rate(core: Core, given_: Input) -> None:
     assert (i_d, motoring) == (0, Input().current)
 
 
-def test_is_kept_while_there_is_no_voltage_to_give_it_back(core: Core) -> None:
-    """Switched off where the back-EMF is beyond the voltage: the motor would brake with more than its current limit."""
+def test_field_weakening_is_kept_at_the_voltage_limit(core: Core) -> None:
+    """If it were released above the voltage limit, the motor would brake with more than its current limit."""
     weakening = Weakening(core, Config())
     for _ in range(3):
         weakening.step(Input(q=round(14.0 * VOLT)))
@@ -186,8 +186,8 @@ def test_is_kept_while_there_is_no_voltage_to_give_it_back(core: Core) -> None:
 
 
 @given(current=st.integers(200, ONE - 1))
-def test_a_small_circle_leaves_half_of_it_to_brake_with(core: Core, current: int) -> None:
-    """As that of a hot winding, smaller than i_d_max."""
+def test_half_of_a_small_current_limit_remains_for_braking(core: Core, current: int) -> None:
+    """A current limit below i_d_max, as of a hot winding: half of it remains for braking."""
     weakening = Weakening(core, Config())
     for _ in range(200):
         _, i_q_max, _ = weakening.step(Input(q=round(14.0 * VOLT), current=current))
@@ -195,8 +195,8 @@ def test_a_small_circle_leaves_half_of_it_to_brake_with(core: Core, current: int
 
 
 @given(psi=st.floats(0.9, 1.1), inductance=st.floats(0.9, 1.1), i_q=st.floats(-1.0, 1.0), volts=st.floats(12.4, 13.0))
-def test_settles_at_the_margin(core: Core, psi: float, inductance: float, i_q: float, volts: float) -> None:
-    """On the steady voltage equations of axis 1 at 4000 rpm in floating point, a tick late, for motors 10 % off."""
+def test_voltage_settles_at_the_margin(core: Core, psi: float, inductance: float, i_q: float, volts: float) -> None:
+    """Steady voltage equations of axis 1 at 4000 rpm in floating point, one tick late, for motors 10 % off."""
     omega, weakening, config = 837.8, Weakening(core, Config()), Config()
     i_d = late = 0.0
     for _ in range(300):

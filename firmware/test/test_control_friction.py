@@ -1,4 +1,4 @@
-"""Friction compensation against its formula in floating point, over every speed and plausible nominal value."""
+"""Friction compensation against its formula in floating point, for all speeds and plausible nominal values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def formula(coulomb: int, viscous: int, smooth: int, speed: int) -> float:
     smooth=st.integers(2**17, FULL - 1),
     part=st.floats(-3.0, 3.0),
 )
-def test_is_the_formula(core: Core, coulomb: int, viscous: int, smooth: int, part: float) -> None:
+def test_compensation_agrees_with_the_formula(core: Core, coulomb: int, viscous: int, smooth: int, part: float) -> None:
     """Within 3 of 2^15 of the Coulomb current: the sign is computed with 15 bits, and rounded three times."""
     speed = max(-FULL, min(FULL - 1, round(part * smooth)))
     raw = current(core, coulomb, viscous, smooth, speed)
@@ -39,7 +39,7 @@ def test_is_the_formula(core: Core, coulomb: int, viscous: int, smooth: int, par
 
 
 def in_integers(coulomb: int, viscous: int, smooth: int, slope: int, speed: int) -> int:
-    """The sign in 15 bits: position within `smooth`, its square and the cubic are cut off, and so is the product."""
+    """The sign in 15 bits: ratio to `smooth`, its square, the cubic and the product are truncated."""
     magnitude = min(abs(speed), FULL - 1)
     x = clip16(magnitude * slope >> 32)
     sign = 2**15 if magnitude >= smooth else x * (3 * 2**15 - (x * x >> 15)) >> 16
@@ -60,21 +60,21 @@ def test_agrees_with_integers_in_every_bit(
 
 
 @given(coulomb=st.integers(0, FULL - 1), smooth=st.integers(2**17, FULL - 1), speed=st.integers(0, FULL - 1))
-def test_both_directions_are_treated_alike(core: Core, coulomb: int, smooth: int, speed: int) -> None:
-    """No direction is favoured: not by a single bit."""
+def test_both_directions_are_symmetrical(core: Core, coulomb: int, smooth: int, speed: int) -> None:
+    """Both directions agree in every bit."""
     forward, back = current(core, coulomb, 0, smooth, speed), current(core, coulomb, 0, smooth, -speed)
     assert forward == -back >= 0
 
 
 @given(smooth=st.integers(2**17, 2**28), first=st.integers(0, 2**28), second=st.integers(0, 2**28))
-def test_rises_with_the_speed(core: Core, smooth: int, first: int, second: int) -> None:
+def test_compensation_increases_with_the_speed(core: Core, smooth: int, first: int, second: int) -> None:
     low, high = sorted((first, second))
     assert current(core, 2**28, 2**20, smooth, low) <= current(core, 2**28, 2**20, smooth, high)
 
 
 @pytest.mark.parametrize("speed", [0, 1, -1, FULL - 1, -FULL, 2**22 - 1, 2**22, -(2**22)])
-def test_ends_of_the_ranges(core: Core, speed: int) -> None:
-    """Nothing at rest, the whole sign from `smooth` on, saturation instead of a wrap."""
+def test_compensation_at_the_ends_of_the_ranges(core: Core, speed: int) -> None:
+    """Zero at rest, full friction from `smooth` on, saturation instead of a wrap."""
     raw = current(core, FULL - 1, 0, 2**22, speed)
     sign = (speed > 0) - (speed < 0)
     if abs(speed) >= 2**22:

@@ -21,7 +21,7 @@ SPEED_UNIT = TICK * COUNTS_PER_TURN * ONE / (2.0 * math.pi)  # of a path, in one
 ACCELERATION_UNIT = TICK * SPEED_UNIT  # in one rad/s^2
 SPEED_LIMIT = int(419.0 * SPEED_UNIT)  # the contract's highest limits
 ACCELERATION_LIMIT = int(50_000.0 * ACCELERATION_UNIT)
-SPEED_MAX = 3_000_000_000  # the square of which fits
+SPEED_MAX = 3_000_000_000  # largest number whose square fits
 OMEGAS = (1, 65, 1957, 3276, 16384)
 ROUNDING = 4  # of the output's second difference: 1.5e-3 rad/s^2
 
@@ -69,7 +69,7 @@ class Path:
 
 
 def beyond(x: int, target: int) -> int:
-    """How far a position is beyond a target: counts wrap at 32 bits."""
+    """Distance of a position beyond a target; counts wrap at 32 bits."""
     return (x - target * ONE + 2**55) % 2**56 - 2**55
 
 
@@ -80,7 +80,7 @@ def braking_speed(distance: int, acceleration: int, maximum: int) -> int:
 
 
 def stopping_distance(speed: int, acceleration: int) -> Fraction:
-    """Exactly what a ramp needs that steps by `speed` and then by less and less."""
+    """Exact stopping distance of a ramp that starts with steps of `speed`."""
     n = speed // acceleration
     return Fraction((n + 1) * speed) - Fraction(acceleration * n * (n + 1), 2)
 
@@ -97,10 +97,12 @@ class Integers:
 
     def step(self, target: int, limit: int, acceleration: int) -> None:
         off = beyond(self.ramp, target)
-        way = -1 if off > 0 else 1
-        speed = way * self.speed
+        direction = -1 if off > 0 else 1
+        speed = direction * self.speed
         allowed = braking_speed(abs(off), acceleration, min(limit, speed + acceleration))
-        self.speed = way * (max(allowed, speed - acceleration) if speed + acceleration > 0 else speed + acceleration)
+        self.speed = direction * (
+            max(allowed, speed - acceleration) if speed + acceleration > 0 else speed + acceleration
+        )
         self.ramp += self.speed
         self.filter += nearest((self.ramp - 2 * self.filter - self.output) * self.omega, 2**16)
         self.output += nearest(self.filter * self.omega, 2**16)
@@ -125,17 +127,17 @@ class Integers:
         self._stop_at(target, acceleration, ramp, speed)
 
     def _stop_at(self, target: int, acceleration: int, ramp: int, speed: int) -> None:
-        way = -1 if self.ramp < self.output else 1
-        left, past = -way * beyond(ramp, target), way * beyond(self.ramp, target)
-        speed *= way
-        if left < 0 or (
-            speed > 0 and braking_speed(left + speed, acceleration, min(speed, SPEED_MAX)) < speed - acceleration
+        direction = -1 if self.ramp < self.output else 1
+        remaining, past = -direction * beyond(ramp, target), direction * beyond(self.ramp, target)
+        speed *= direction
+        if remaining < 0 or (
+            speed > 0 and braking_speed(remaining + speed, acceleration, min(speed, SPEED_MAX)) < speed - acceleration
         ):
             return
         if past > 0:
-            self.ramp, self.speed = self.ramp - way * past, 0
-        elif way * self.speed > 0:
-            self.speed = way * braking_speed(-past, acceleration, min(way * self.speed, SPEED_MAX))
+            self.ramp, self.speed = self.ramp - direction * past, 0
+        elif direction * self.speed > 0:
+            self.speed = direction * braking_speed(-past, acceleration, min(direction * self.speed, SPEED_MAX))
 
     @property
     def state(self) -> tuple[int, int, int, int]:
@@ -155,7 +157,7 @@ def state_of(path: Path) -> tuple[int, int, int, int]:
 def test_agrees_with_integers_in_every_bit(
     core: Core, omega: int, start: tuple[int, int], ticks: list[tuple[int | None, int, int, int]]
 ) -> None:
-    """Any start, targets over all 32 bits, all limits; None stays where the output is."""
+    """Any start, targets over all 32 bits, all limits; None: the target is the output."""
     path, model = Path(core, omega, *start), Integers(omega, *start)
     assert state_of(path) == model.state
     for target, limit, acceleration, count in ticks:
@@ -169,7 +171,7 @@ def test_agrees_with_integers_in_every_bit(
 
 @pytest.mark.parametrize("start", [(-1129761008, 8816854913), (28348654, -8692235709)])
 def test_new_omega_at_a_speed_beyond_every_limit(core: Core, start: tuple[int, int]) -> None:
-    """The target is half the counter's range away: such a speed needs more than that at the lowest acceleration."""
+    """The target is half the counter range away; at the lowest acceleration the stopping distance is longer."""
     path, model, target = Path(core, 2, *start), Integers(2, *start), -(2**31) if start[1] < 0 else 2**30
     path.retune(target, 65535, 1)
     model.retune(target, 1, 65535)
@@ -211,7 +213,7 @@ def test_every_bit_of_a_new_omega(
 @given(distance=DISTANCE, acceleration=ACCELERATION, maximum=STEP)
 @settings(max_examples=2000)
 def test_braking_speed_suffices_and_wastes_little(core: Core, distance: int, acceleration: int, maximum: int) -> None:
-    """An eighth of the acceleration is what the constant deceleration is worth over steps that end on the target."""
+    """The discrete ramp that ends on the target differs from constant deceleration by an eighth of the acceleration."""
     speed = core.lib.braking_speed(distance, acceleration, maximum)
     assert speed == braking_speed(distance, acceleration, maximum)
     assert 0 <= speed <= maximum
@@ -237,11 +239,11 @@ def ticks_of(distance: int, limit: int, acceleration: int) -> float:
 
 
 def reachable(ticks: int, limit: int, acceleration: int) -> int:
-    """Whole counts of a move that takes so many ticks at most."""
+    """Distance in whole counts of a move that takes at most this number of ticks."""
     return int(min(acceleration * ticks * ticks / 4.0, limit * ticks / 2.0) / ONE)
 
 
-SETTLED = {1957: 600, 3276: 360, 16384: 90}  # ticks after the ramp within which the filter is on its target
+SETTLED = {1957: 600, 3276: 360, 16384: 90}  # ticks from the end of the ramp until the filter is on its target
 
 
 @given(
@@ -250,24 +252,24 @@ SETTLED = {1957: 600, 3276: 360, 16384: 90}  # ticks after the ramp within which
     limit=SPEEDS,
     acceleration=ACCELERATIONS,
     ticks=st.integers(1, 3000),
-    way=st.sampled_from([1, -1]),
+    direction=st.sampled_from([1, -1]),
 )
 @settings(max_examples=80)
 def test_rest_to_rest_is_a_trapezoid_and_ends_exactly_on_its_target(
-    core: Core, omega: int, start: int, limit: int, acceleration: int, ticks: int, way: int
+    core: Core, omega: int, start: int, limit: int, acceleration: int, ticks: int, direction: int
 ) -> None:
-    """Within the limits, one way only, through the wrap of the counts, and as soon as the limits allow."""
+    """Within the limits, monotonic, across the wrap of the counts, and in the shortest time that the limits permit."""
     distance = reachable(ticks, limit, acceleration)
-    target = (start + way * distance + 2**31) % 2**32 - 2**31
+    target = (start + direction * distance + 2**31) % 2**32 - 2**31
     path = Path(core, omega, start)
     needed = math.ceil(ticks_of(distance * ONE, limit, acceleration)) + 3
-    log = way * moved(path, target, needed + SETTLED[omega], limit, acceleration)
+    log = direction * moved(path, target, needed + SETTLED[omega], limit, acceleration)
     ramp, speed, output = log[:, 0], log[:, 1], log[:, 3]
     assert np.all(np.abs(np.diff(speed, prepend=0)) <= acceleration)
     assert speed.min() >= 0
     assert speed.max() <= limit
-    assert np.all(ramp[needed:] == way * start * ONE + distance * ONE), "there in time, to the last bit"
-    steps = np.diff(output, prepend=way * start * ONE)
+    assert np.all(ramp[needed:] == direction * start * ONE + distance * ONE), "on the target in time, in every bit"
+    steps = np.diff(output, prepend=direction * start * ONE)
     assert np.abs(np.diff(steps, prepend=0)).max() <= acceleration + ROUNDING
     assert steps.min() >= -ROUNDING
     assert steps.max() <= limit + ROUNDING
@@ -282,15 +284,15 @@ MOVES = st.lists(st.tuples(st.floats(-1.5, 1.5), SPEEDS, ACCELERATIONS, st.integ
 def test_targets_and_limits_that_change_in_flight_never_exceed_a_limit(
     core: Core, omega: int, start: int, step: int, moves: list[tuple[float, int, int, int]]
 ) -> None:
-    """The ramp keeps the limits of the tick, the output the largest so far, as it lags; in the end it arrives."""
+    """The ramp keeps the limits of the tick, the lagging output the largest limits so far; it ends on the target."""
     path = Path(core, omega, start, step)
     target, before, fastest, hardest = start, [start * ONE - step], step, 0
     output = [start * ONE]
     limit = acceleration = 1
     for part, limit, acceleration, ticks in moves:
         fastest, hardest = max(fastest, limit), max(hardest, acceleration)
-        way = int(part * reachable(ticks, limit, acceleration))
-        target = (path.position + way + 2**31) % 2**32 - 2**31
+        direction = int(part * reachable(ticks, limit, acceleration))
+        target = (path.position + direction + 2**31) % 2**32 - 2**31
         speed = path.c.speed
         log = moved(path, target, ticks, limit, acceleration)
         speeds = log[:, 1]
@@ -301,7 +303,7 @@ def test_targets_and_limits_that_change_in_flight_never_exceed_a_limit(
     steps = np.diff(np.array(before + output, dtype=object)).astype(np.int64)
     assert np.abs(steps).max() <= fastest + ROUNDING
     assert np.abs(np.diff(steps)).max() <= hardest + ROUNDING
-    # A stop, the way back, and the rest of the way.
+    # A stop, the motion back, and the remaining distance.
     speed = abs(path.c.speed)
     distance = abs(beyond(path.c.ramp, target)) + speed * speed // (2 * acceleration) + speed
     needed = ticks_of(distance, limit, acceleration) + speed / acceleration + 10
@@ -310,19 +312,19 @@ def test_targets_and_limits_that_change_in_flight_never_exceed_a_limit(
         assert core.lib.path_filter_at_rest(path.c, target)
 
 
-@given(step=SPEEDS, acceleration=ACCELERATIONS, spare=st.integers(0, 3), way=st.sampled_from([1, -1]))
+@given(step=SPEEDS, acceleration=ACCELERATIONS, spare=st.integers(0, 3), direction=st.sampled_from([1, -1]))
 @settings(max_examples=80)
-def test_target_that_is_far_enough_is_not_passed(
-    core: Core, step: int, acceleration: int, spare: int, way: int
+def test_target_beyond_the_stopping_distance_is_not_passed(
+    core: Core, step: int, acceleration: int, spare: int, direction: int
 ) -> None:
-    """Taken over at speed, with what the speed needs to stop and no more than three counts to spare."""
-    path = Path(core, 3276, 0, way * step)
+    """Start at speed, with the stopping distance and at most three counts more."""
+    path = Path(core, 3276, 0, direction * step)
     room = stopping_distance(max(step - acceleration, 0), acceleration) + acceleration // 8
-    target = way * (way * path.c.ramp + math.ceil(room)) // ONE + way * (1 + spare)
+    target = direction * (direction * path.c.ramp + math.ceil(room)) // ONE + direction * (1 + spare)
     needed = min(step // acceleration, 20_000) + 400
     log = moved(path, target, needed, SPEED_LIMIT, acceleration)
-    assert (way * log[:, 0]).max() <= way * target * ONE
-    assert (way * log[:, 1]).min() >= 0
+    assert (direction * log[:, 0]).max() <= direction * target * ONE
+    assert (direction * log[:, 1]).min() >= 0
 
 
 @given(
@@ -330,40 +332,42 @@ def test_target_that_is_far_enough_is_not_passed(
     acceleration=ACCELERATIONS,
     omega=st.sampled_from(sorted(SETTLED)),
     part=st.floats(-1.0, 2.0),
-    way=st.sampled_from([1, -1]),
+    direction=st.sampled_from([1, -1]),
 )
 @settings(max_examples=80)
 def test_braking_begins_at_once_when_steady_motion_would_pass_the_target(
-    core: Core, step: int, acceleration: int, omega: int, part: float, way: int
+    core: Core, step: int, acceleration: int, omega: int, part: float, direction: int
 ) -> None:
-    """The output goes on at its speed, which changes within the limit; a target that is far enough changes nothing."""
-    path = Path(core, omega, 0, way * step)
+    """The output continues at its speed, which changes within the limit; a distant target changes nothing."""
+    path = Path(core, omega, 0, direction * step)
     steady = state_of(path)
     stop = core.lib.path_filter_stopping_position(path.c, acceleration)
-    target = int(part * stop) - way
+    target = int(part * stop) - direction
     core.lib.path_filter_start_braking(path.c, target, acceleration, omega)
     if part >= 1.1 and abs(stop) > 100:
         assert state_of(path) == steady
     if state_of(path) != steady:
-        assert way * core.lib.path_filter_stopping_position(path.c, acceleration) < way * stop + 1
+        assert direction * core.lib.path_filter_stopping_position(path.c, acceleration) < direction * stop + 1
     output = moved(path, target, 1000, step, acceleration)[:, 3]
-    steps = np.diff(np.concatenate([[-way * step, 0], output]))
+    steps = np.diff(np.concatenate([[-direction * step, 0], output]))
     assert np.abs(np.diff(steps)).max() <= acceleration * (1.0 + omega / 65536) + 10 * ROUNDING
     assert np.abs(steps).max() <= step + 10 * ROUNDING
 
 
-@given(step=SPEEDS, acceleration=ACCELERATIONS, way=st.sampled_from([1, -1]), again=st.integers(1, 300))
+@given(step=SPEEDS, acceleration=ACCELERATIONS, direction=st.sampled_from([1, -1]), again=st.integers(1, 300))
 @settings(max_examples=80)
-def test_stop_where_the_ramp_can_stop(core: Core, step: int, acceleration: int, way: int, again: int) -> None:
-    """Neither passed nor far behind where full braking ends, and no nearer when asked for again on the way."""
-    path = Path(core, 3276, 0, way * step)
+def test_stopping_position_is_the_end_of_full_braking(
+    core: Core, step: int, acceleration: int, direction: int, again: int
+) -> None:
+    """The stopping position is at the end of full braking, and does not come closer when computed again later."""
+    path = Path(core, 3276, 0, direction * step)
     stop = core.lib.path_filter_stopping_position(path.c, acceleration)
     minimum = stopping_distance(max(step - acceleration, 0), acceleration) if step > acceleration else Fraction(0)
-    beyond_min = way * (stop * ONE - path.c.ramp) - minimum
+    beyond_min = direction * (stop * ONE - path.c.ramp) - minimum
     assert 0 <= beyond_min <= 2 * ONE + acceleration // 4 + minimum / 2**14
     log = moved(path, stop, again, SPEED_LIMIT, acceleration)
-    assert (way * log[:, 0]).max() <= way * stop * ONE
-    assert way * core.lib.path_filter_stopping_position(path.c, acceleration) >= way * stop
+    assert (direction * log[:, 0]).max() <= direction * stop * ONE
+    assert direction * core.lib.path_filter_stopping_position(path.c, acceleration) >= direction * stop
 
 
 @given(omegas=st.lists(st.integers(65, 3276), min_size=2, max_size=5), moves=MOVES)
@@ -371,7 +375,7 @@ def test_stop_where_the_ramp_can_stop(core: Core, step: int, acceleration: int, 
 def test_new_omegas_in_flight_keep_the_acceleration(
     core: Core, omegas: list[int], moves: list[tuple[float, int, int, int]]
 ) -> None:
-    """Far from the target. One tick's share of the filter may be beyond: omega_n Ts of the limit."""
+    """Far from the target. The acceleration may exceed the limit by omega_n Ts, the filter's share of one tick."""
     path, acceleration = Path(core, omegas[0]), moves[0][2]
     limit = max(move[1] for move in moves)
     output = [0, 0]
@@ -386,8 +390,10 @@ def test_new_omegas_in_flight_keep_the_acceleration(
 
 @given(omega=edges(1, 2**15), start=I32, targets=st.lists(I32, min_size=1, max_size=3), limit=edges(1, SPEED_LIMIT))
 @settings(max_examples=60)
-def test_e40_over_the_whole_range(core: Core, omega: int, start: int, targets: list[int], limit: int) -> None:
-    """At most 2 / (omega_n Ts) of 2^-24 counts off the reals, which are carried here with 64 bits more.
+def test_e40_is_exact_within_its_rounding_over_the_whole_range(
+    core: Core, omega: int, start: int, targets: list[int], limit: int
+) -> None:
+    """At most 2 / (omega_n Ts) of 2^-24 counts off the exact values, which are computed with 64 additional bits.
 
     A rounding of half an LSB in m is worth 1 / (2 omega_n Ts) in y, one in y twice that; both responses are monotonic.
     """
@@ -402,8 +408,8 @@ def test_e40_over_the_whole_range(core: Core, omega: int, start: int, targets: l
 
 
 @given(output=edges(-(2**55) - ONE // 2, 2**55 - ONE // 2 - 1), target=I32, ramp=st.integers(-1, 1))
-def test_position_and_rest(core: Core, output: int, target: int, ramp: int) -> None:
-    """The nearest count, halves upwards; at rest when that is the target and the ramp rests on it, to the last bit."""
+def test_position_is_the_nearest_count_and_rest_is_exact(core: Core, output: int, target: int, ramp: int) -> None:
+    """Position: nearest count, halves upwards. At rest if it is the target and the ramp rests on it in every bit."""
     path = core.ffi.new("path_filter_t *")
     path.output = output
     position = nearest(output, ONE)
@@ -426,8 +432,8 @@ def test_ramp_becomes_an_s_curve(core: Core) -> None:
     assert path.position == 100_000
 
 
-def test_slow_filter_carries_enough_bits(core: Core) -> None:
-    """omega_n = 2 rad/s: with 16 fraction bits it would stop counts short of the target."""
+def test_slow_filter_has_enough_bits(core: Core) -> None:
+    """omega_n = 2 rad/s: with 16 fraction bits the filter would stop some counts before the target."""
     path = Path(core, 65)
     for _ in range(30000):
         path.step(1000)
@@ -435,7 +441,7 @@ def test_slow_filter_carries_enough_bits(core: Core) -> None:
 
 
 @given(x=st.integers(-(2**60), 2**60), counts=I32)
-def test_how_far_beyond(core: Core, x: int, counts: int) -> None:
+def test_distance_beyond_a_target_wraps(core: Core, x: int, counts: int) -> None:
     assert core.lib.path_beyond(x, counts) == beyond(x, counts)
     assert (core.lib.path_whole(x) - (x >> 24)) % 2**32 == 0
     assert core.lib.path_part(x) == x % ONE
@@ -444,7 +450,7 @@ def test_how_far_beyond(core: Core, x: int, counts: int) -> None:
 @pytest.mark.parametrize("step", [150 * ONE, -150 * ONE, ONE // 3])
 @pytest.mark.parametrize("omega_n_ts", OMEGAS[1:])
 def test_moving_start_is_bumpless(core: Core, step: int, omega_n_ts: int) -> None:
-    """Taken over at speed, the output goes on at that speed from the first tick."""
+    """Started at speed, the output continues at that speed from the first tick."""
     path = Path(core, omega_n_ts, 5000, step)
     far, previous = (10**9 if step > 0 else -(10**9)), 5000.0
     for _ in range(300):
@@ -453,11 +459,11 @@ def test_moving_start_is_bumpless(core: Core, step: int, omega_n_ts: int) -> Non
         previous = now
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("omega_n_ts", [200, 3276])
-def test_new_omega_before_a_reversal(core: Core, way: int, omega_n_ts: int) -> None:
-    """The limits change while the shaft still runs away from its target: only the ramp's lead follows."""
-    path, target = Path(core, 1957, 0, -way * 100 * ONE), way * 900_000_000
+def test_new_omega_before_a_reversal_scales_the_lead(core: Core, direction: int, omega_n_ts: int) -> None:
+    """The limits change while the shaft still moves away from its target: only the lead of the ramp is scaled."""
+    path, target = Path(core, 1957, 0, -direction * 100 * ONE), direction * 900_000_000
     outputs = [path.output]
     for k in range(4):
         if k == 2:
@@ -465,7 +471,7 @@ def test_new_omega_before_a_reversal(core: Core, way: int, omega_n_ts: int) -> N
             path.retune(target, omega_n_ts)
             assert path.c.ramp / ONE - path.output == pytest.approx(lead * 1957 / omega_n_ts, rel=0.02)
         outputs.append(path.step(target))
-    assert np.diff(outputs) == pytest.approx(-way * 100.0, rel=0.1)
+    assert np.diff(outputs) == pytest.approx(-direction * 100.0, rel=0.1)
 
 
 def test_new_omega_at_rest_changes_nothing(core: Core) -> None:
@@ -474,9 +480,9 @@ def test_new_omega_at_rest_changes_nothing(core: Core) -> None:
     assert state_of(path) == (77 * ONE, 0, 0, 77 * ONE)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_new_omega_does_not_draw_the_ramp_past_the_target(core: Core, way: int) -> None:
-    path, target = Path(core, 1957), way * 20_000
+@pytest.mark.parametrize("direction", [1, -1])
+def test_new_omega_does_not_move_the_ramp_past_the_target(core: Core, direction: int) -> None:
+    path, target = Path(core, 1957), direction * 20_000
     for _ in range(160):
         path.step(target)
     assert abs(path.c.ramp) / ONE < 20_000
@@ -484,15 +490,15 @@ def test_new_omega_does_not_draw_the_ramp_past_the_target(core: Core, way: int) 
     assert (path.c.ramp, path.c.speed) == (target * ONE, 0)
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("ticks", [150, 200, 220, 240, 260, 300])
-def test_slower_filter_near_the_target_does_not_pass_it(core: Core, way: int, ticks: int) -> None:
-    """Less current while the ramp brakes: it stays where it can stop."""
-    path, target, acceleration = Path(core, 3276), way * 20_000, int(4000 * ACCELERATION_UNIT)
+def test_slower_filter_near_the_target_does_not_pass_it(core: Core, direction: int, ticks: int) -> None:
+    """The current limit is reduced while the ramp brakes: the ramp ends at its stopping position."""
+    path, target, acceleration = Path(core, 3276), direction * 20_000, int(4000 * ACCELERATION_UNIT)
     for _ in range(ticks):
         path.step(target, SPEED_LIMIT, acceleration)
     path.retune(target, 1500, acceleration)
-    log = way * moved(path, target, 3000, SPEED_LIMIT, acceleration)
+    log = direction * moved(path, target, 3000, SPEED_LIMIT, acceleration)
     assert log[:, 0].max() <= 20_000 * ONE
     assert log[:, 3].max() <= 20_000 * ONE + ROUNDING * 50
     assert core.lib.path_filter_at_rest(path.c, target)

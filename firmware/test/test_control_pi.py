@@ -35,7 +35,7 @@ class Controller:
         return float(self.state.integral / ONE / GAIN_ONE)
 
 
-def test_worked_by_hand(core: Core) -> None:
+def test_example_calculated_by_hand(core: Core) -> None:
     """Kp = 1/2, Kp Ki Ts = 1/4, Kc = 1/2, limit 3/8, error 1/2, 1/2, -1/4: all numbers are exact."""
     pi = Controller(core, 0.5, 0.25, 0.5)
     # k = 1: u_p = 1/4, u_i = 1/8, u_presat = 3/8: just not limited
@@ -73,9 +73,9 @@ def test_every_bit_over_the_whole_range(
     state, g = core.ffi.new("pi_state_t *", (integral, excess)), core.ffi.new("pi_gains_t *", gains)
     for error, forward, limit in samples:
         integral = saturated(integral + error * ki + excess * kc)
-        wanted = nearest(integral + error * kp + forward * GAIN_ONE, GAIN_ONE)
-        out = clip(wanted, -limit, limit)
-        excess = clip32(out - wanted)
+        unlimited = nearest(integral + error * kp + forward * GAIN_ONE, GAIN_ONE)
+        out = clip(unlimited, -limit, limit)
+        excess = clip32(out - unlimited)
         assert core.lib.probe_pi(state, g, error, forward, limit) == out
         assert (state.integral, state.excess) == (integral, excess)
 

@@ -1,4 +1,4 @@
-"""The PLL on the observed back-EMF: locks both ways, keeps its damping, knows the torque, learns a load."""
+"""The PLL on the observed back-EMF: lock in both directions, damping, torque feed-forward, load estimate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from observer_rig import FULL_SPEED, PAIRS, PSI, SLOW, U_FS, Estimator, Rig, T, 
 
 
 class Ideal:
-    """The PLL alone, with the back-EMF that a rotor has."""
+    """The PLL alone, with the back-EMF of an ideal rotor."""
 
     def __init__(self, core: Core, flux: float = 1.0) -> None:
         self.estimator = Estimator(core)
@@ -24,13 +24,13 @@ class Ideal:
 
     @property
     def time(self) -> float:
-        """Since the beginning [s]."""
+        """Time since the start [s]."""
         return self.k * T
 
     def step(
         self, theta: Callable[[float], float], omega: Callable[[float], float], push: float | None = None
     ) -> float:
-        """One period; the error of the angle [rad]."""
+        """Advance by one period; return the angle error [rad]."""
         it = self.estimator
         t = (self.k + 0.5) * T
         e = 1j * omega(t) * self.flux * PSI * complex(math.cos(theta(t)), math.sin(theta(t))) / U_FS
@@ -44,9 +44,9 @@ class Ideal:
 
 
 def settle(core: Core, omega: float, offset: float, seconds: float) -> NDArray[np.float64]:
-    """Errors of the angle from a start that is off by `offset`."""
+    """Angle errors after a start with the angle error `offset`."""
     ideal = Ideal(core)
-    ideal.step(lambda t: omega * t, lambda _: omega)  # now the back-EMF is known, and with it the gain
+    ideal.step(lambda t: omega * t, lambda _: omega)  # from here the back-EMF and the gain are known
     ideal.estimator.start(offset + omega * T, omega)
     return np.array([ideal.step(lambda t: omega * t, lambda _: omega) for _ in range(round(seconds / T))])
 
@@ -59,14 +59,14 @@ def test_pll_locks_in_both_directions(core: Core, omega: float) -> None:
 
 @pytest.mark.parametrize("omega", [32.0, 150.0, 730.0])
 def test_damping_does_not_depend_on_the_speed(core: Core, omega: float) -> None:
-    """With damping 1 a step of the angle is passed once, by e^-2 of it (the zero of the loop), whatever the speed."""
+    """With damping 1 an angle step has one overshoot of e^-2 (by the zero of the loop) at every speed."""
     errors = settle(core, omega, 0.3, 0.3)
     assert -0.16 < errors.min() / 0.3 < -0.10
     assert errors[int(np.argmin(errors)) :].max() < 0.01 * 0.3
 
 
 def test_natural_frequency_grows_with_the_root_of_the_speed(core: Core) -> None:
-    """The constant integral gain of the slide: a speed four times as high is followed in half the time."""
+    """The integral gain of the slide is constant: at four times the speed the error settles in half the time."""
 
     def time(omega: float) -> int:
         return int(np.argmin(settle(core, omega, 0.3, 0.2)))
@@ -90,11 +90,11 @@ def test_angle_wraps_without_drift(core: Core) -> None:
 ACCELERATION = 1.5 * PAIRS * PSI / 0.8e-5 * PAIRS  # electrical, of one ampere
 
 
-def accelerate(core: Core, told: float, seconds: float = 0.08) -> float:
-    """Largest error of the angle when an ampere drives the rotor from 200 rad/s, and the PLL is told of `told`."""
+def accelerate(core: Core, fed_forward: float, seconds: float = 0.08) -> float:
+    """Largest angle error when 1 A accelerates the rotor from 200 rad/s and the PLL is fed forward `fed_forward` A."""
     rate = ACCELERATION
     ideal = Ideal(core)
-    ideal.estimator.leave_size_out()
+    ideal.estimator.ignore_amplitude()
     ideal.estimator.start(0.0, 200.0)
 
     def omega(t: float) -> float:
@@ -103,7 +103,7 @@ def accelerate(core: Core, told: float, seconds: float = 0.08) -> float:
     def theta(t: float) -> float:
         return 200.0 * t + rate * t * t / 2.0
 
-    return max(abs(ideal.step(theta, omega, told)) for _ in range(round(seconds / T)))
+    return max(abs(ideal.step(theta, omega, fed_forward)) for _ in range(round(seconds / T)))
 
 
 def test_acceleration_by_i_q_is_fed_forward(core: Core) -> None:
@@ -112,9 +112,9 @@ def test_acceleration_by_i_q_is_fed_forward(core: Core) -> None:
 
 
 def test_load_torque_is_estimated(core: Core) -> None:
-    """Half an ampere against a load at constant speed: what it does not gain is the load.
+    """0.5 A against a load at constant speed: the missing acceleration is the load.
 
-    Neither speed nor angle is off for it.
+    Speed and angle have no error.
     """
     ideal = Ideal(core)
     ideal.estimator.start(0.0, 200.0)
@@ -126,12 +126,12 @@ def test_load_torque_is_estimated(core: Core) -> None:
 
 
 def test_load_step_changes_the_amplitude_of_the_back_emf(core: Core) -> None:
-    """At a speed at which the loop has 24 Hz, half of that speed is lost within 10 ms: the size tells at once."""
+    """Loop of 24 Hz, half of the speed lost within 10 ms: the amplitude of the back-EMF corrects the speed at once."""
 
     def behind(follow: bool) -> float:
         ideal = Ideal(core)
         if not follow:
-            ideal.estimator.leave_size_out()
+            ideal.estimator.ignore_amplitude()
         ideal.estimator.start(0.0, 32.0)
         rate, errors = 1600.0, []
         for _ in range(round(0.01 / T)):
@@ -144,7 +144,7 @@ def test_load_step_changes_the_amplitude_of_the_back_emf(core: Core) -> None:
 
 
 def test_amplitude_offset_is_compensated_by_the_phase(core: Core) -> None:
-    """A flux that is a fifth larger than nominal: the speed is the true one all the same, after some time."""
+    """With a flux 20 % above nominal the speed is correct after the transient."""
     ideal = Ideal(core, flux=1.2)
     ideal.estimator.start(0.0, 200.0)
     for _ in range(round(1.5 / T)):
@@ -160,10 +160,10 @@ def test_amplitude_offset_is_compensated_by_the_phase(core: Core) -> None:
     emf=st.integers(0, 32767),
     i_q=st.integers(-32768, 32767),
     beside=st.tuples(*2 * [st.integers(-32768, 32767)]),
-    turned=st.integers(-(2**31), 2**31 - 1),
+    rotation=st.integers(-(2**31), 2**31 - 1),
 )
 def test_steps_stay_within_their_bound(
-    core: Core, e: tuple[int, int], step: int, emf: int, i_q: int, beside: tuple[int, int], turned: int
+    core: Core, e: tuple[int, int], step: int, emf: int, i_q: int, beside: tuple[int, int], rotation: int
 ) -> None:
     estimator = Estimator(core)
     config = core.ffi.addressof(estimator.config, "pll")
@@ -171,13 +171,13 @@ def test_steps_stay_within_their_bound(
     core.lib.pll_reset(estimator.pll, 0, max(min(step, maximum), -maximum))
     for _ in range(40):
         core.lib.pll_adapt(estimator.pll, config, emf)
-        core.lib.pll_feed_forward(estimator.pll, config, i_q, {"d": beside[0], "q": beside[1]}, turned)
+        core.lib.pll_feed_forward(estimator.pll, config, i_q, {"d": beside[0], "q": beside[1]}, rotation)
         core.lib.pll_step(estimator.pll, config, {"alpha": e[0], "beta": e[1]})
         assert abs(estimator.pll.integral) <= maximum
         assert abs(estimator.pll.step) <= maximum
 
 
-def test_speeds_and_steps(core: Core) -> None:
+def test_speeds_are_converted_to_steps_per_period(core: Core) -> None:
     config = core.ffi.addressof(Estimator(core).config, "pll")
     for rad_s in (1.0, -15.7, 314.0, -500.0):
         raw = round(rad_s / FULL_SPEED * 2**31)

@@ -1,4 +1,4 @@
-"""Space-vector modulation: the eight states of T3, the times of E28..E30, and the voltage that comes out."""
+"""Space-vector modulation: the eight states of T3, the times of E28..E30, and the resulting voltage."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import example, given
 FULL = 32767
 SQRT3 = math.sqrt(3.0)
 
-# T3, where 011 has to be U180, 001 U240 and 101 U300: state of the legs a b c, angle of the vector in degrees.
+# T3, corrected (011 is U180, 001 U240, 101 U300): state of the legs a b c, angle of the vector in degrees.
 ACTIVE = [
     ((1, 0, 0), 0),
     ((1, 1, 0), 60),
@@ -39,13 +39,13 @@ def vector(length: float, degrees: float) -> tuple[int, int]:
 
 
 def voltage(duty: tuple[int, int, int]) -> complex:
-    """Mean space vector over 2/3 u_dc that three high-side duties give (E2)."""
+    """Mean space vector of three high-side duties, relative to 2/3 u_dc (E2)."""
     a = complex(-0.5, SQRT3 / 2.0)
     return sum(d / FULL * a**k for k, d in enumerate(duty))
 
 
 def in_integers(alpha: int, beta: int) -> tuple[tuple[int, int, int], int]:
-    """E28..E30 and T3 with the roundings that svm.h has: beta / sqrt(3) once, the shortening towards zero."""
+    """E28..E30 and T3 with the roundings of svm.h: beta / sqrt(3) once, the shortening towards zero."""
     third = nearest(beta * ONE_BY_SQRT3, 2**15)
     x, y, z = 2 * third, third + alpha, third - alpha
     above = [z < 0, y >= 0, True] if x >= 0 else [z >= 0, y < 0, True]
@@ -62,7 +62,7 @@ def in_integers(alpha: int, beta: int) -> tuple[tuple[int, int, int], int]:
 
 
 @given(alpha=I16, beta=I16)
-@example(alpha=0, beta=16384)  # the only halves that beta / sqrt(3) is rounded from
+@example(alpha=0, beta=16384)  # the only exact halves in the rounding of beta / sqrt(3)
 @example(alpha=0, beta=-16384)
 @example(alpha=MIN16, beta=MIN16)
 @example(alpha=MIN16, beta=MAX16)
@@ -81,9 +81,9 @@ def test_every_bit_on_and_beside_the_borders(core: Core) -> None:
 
 
 def test_at_most_2_3_lsb_off_over_the_whole_range(core: Core) -> None:
-    """Duties of the reals for 300000 vectors, inside the hexagon and shortened to its edge.
+    """Exact duties for 300000 vectors, inside the hexagon and shortened to its edge.
 
-    The errors: beta / sqrt(3) in 15 bits (0.9 LSB, one and a half times), half the zero time, 100 % being 32767.
+    Errors: beta / sqrt(3) in 15 bits (0.9 LSB, 1.5 times), half the zero time, 100 % is 32767.
     """
     rng = np.random.default_rng(17)
     inside = rng.uniform(-SQRT3 / 2.0, SQRT3 / 2.0, (150_000, 2)) * 32768.0
@@ -104,12 +104,12 @@ def test_at_most_2_3_lsb_off_over_the_whole_range(core: Core) -> None:
 
 
 def half_period(duty: tuple[int, int, int]) -> dict[tuple[int, ...], int]:
-    """States of the legs from the low-side centre to the high-side centre, and how long each lasts."""
+    """States of the legs from the low-side centre to the high-side centre, with their durations."""
     switching = sorted({0, *(FULL - d for d in duty), FULL})
     return {tuple(int(begin >= FULL - d) for d in duty): end - begin for begin, end in itertools.pairwise(switching)}
 
 
-def test_the_eight_states_of_t3_come_out(core: Core) -> None:
+def test_the_eight_states_of_t3_occur(core: Core) -> None:
     """Every sector: 000, its two active vectors, 111; T1 and T2 of E28, E29, and the same share of T0 at both ends."""
     seen: set[tuple[int, ...]] = set()
     for sector in range(6):

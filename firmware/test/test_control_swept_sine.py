@@ -17,14 +17,14 @@ SAMPLES = 320
     growth=st.integers(0, TURN // 10),
     calls=st.integers(0, SAMPLES),
 )
-def test_it_is_the_sine_of_a_phase_that_grows_ever_faster(
+def test_signal_is_the_sine_of_an_accelerating_phase(
     core: Core, amplitude: int, first: int, growth: int, calls: int
 ) -> None:
     sine = core.ffi.new("swept_sine_t *", {"amplitude": amplitude, "step": first, "growth": growth, "calls": calls})
     phase, step = 0, first
     for k in range(SAMPLES):
         expected = amplitude * np.sin(2.0 * np.pi * phase / TURN) if k < calls else 0.0
-        # The table is off by one LSB, and the phase is cut to 16 bits.
+        # The table has an error of one LSB, and the phase is truncated to 16 bits.
         assert abs(core.lib.swept_sine_step(sine) - expected) <= 1.6 + amplitude * 2.0 * np.pi / 65536
         phase = (phase + step) % TURN
         step = min(step + (step * growth >> 32), 2**31 - 1)

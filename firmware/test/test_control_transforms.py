@@ -1,4 +1,4 @@
-"""Clarke and Park transforms (DRM E2..E7, E16) against exact formulas, and there and back."""
+"""Clarke and Park transforms (DRM E2..E7, E16) against exact formulas, and their inverses."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def rotations() -> tuple[NDArray[np.int16], NDArray[np.int16]]:
 
 
 def rotated(core: Core, inverse: bool) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """What went in, the angles, and what comes out of one of the two transforms."""
+    """Input vectors, angles, and results of one of the two transforms."""
     vectors, angles = rotations()
     result = np.zeros_like(vectors)
     into, out, function = (
@@ -79,7 +79,7 @@ def rotated(core: Core, inverse: bool) -> tuple[NDArray[np.int64], NDArray[np.in
 
 @pytest.mark.parametrize("inverse", [False, True])
 def test_rotation_is_rounded_once(core: Core, inverse: bool) -> None:
-    """With the sine and cosine there are: the nearest number, halves upwards, saturated. No more than half an LSB."""
+    """With the sine and cosine of the firmware: nearest number, halves upwards, saturated; at most 0.5 LSB off."""
     vectors, angles, result = rotated(core, inverse)
     sines, cosines = np.zeros(65536, dtype=np.int16), np.zeros(65536, dtype=np.int16)
     core.lib.probe_sin_cos_all(core.ffi.from_buffer("int16_t[]", sines), core.ffi.from_buffer("int16_t[]", cosines))
@@ -91,8 +91,8 @@ def test_rotation_is_rounded_once(core: Core, inverse: bool) -> None:
 
 
 @pytest.mark.parametrize("inverse", [False, True])
-def test_rotation_of_the_reals(core: Core, inverse: bool) -> None:
-    """E16, e^(-j theta) and e^(j theta): 1.01 LSB of the sine, 1.01 of the cosine, half of one for the rounding."""
+def test_rotation_is_within_2_52_lsb_of_the_exact_one(core: Core, inverse: bool) -> None:
+    """E16, e^(-j theta) and e^(j theta): 1.01 LSB of the sine, 1.01 LSB of the cosine, 0.5 LSB of the rounding."""
     vectors, angles, result = rotated(core, inverse)
     z = (vectors[:, 0] + 1j * vectors[:, 1]) * np.exp((1j if inverse else -1j) * np.pi * angles / 32768.0)
     exact = np.clip(np.stack([z.real, z.imag], axis=1), MIN16, MAX16)

@@ -1,4 +1,4 @@
-"""The core with sanitizers; no state of files, no floating point."""
+"""The core with sanitizers; no file-scope state, no floating point."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import pytest
 from core_library import CORE_SOURCES
 from firmware_compiler import FIRMWARE, STRICT, CompileProgram, has_library
 
-# Optimised, a read whose value is not used is gone before the address sanitizer sees it.
+# With optimisation an unused read is removed before the address sanitizer checks it.
 SANITIZE = "-O0 -g1 -fsanitize=undefined,address -fno-sanitize-recover=all"
 INSIDE = "FIRMWARE_TESTS_SANITIZED"
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(INSIDE in os.environ, reason="this is the sanitized run")
-def test_what_no_recording_reaches_passes_with_the_address_sanitizer() -> None:
-    """All else is replayed with it (the target ``gcc sanitizers`` of tests/test_targets.py)."""
+def test_code_outside_of_the_recordings_passes_with_the_address_sanitizer() -> None:
+    """All other code is replayed with it (target ``gcc sanitizers`` of tests/test_targets.py)."""
     if not has_library("gcc", "libasan.so"):
         pytest.skip("gcc has no address sanitizer")
     runtime = subprocess.run(
@@ -34,7 +34,7 @@ def test_what_no_recording_reaches_passes_with_the_address_sanitizer() -> None:
         INSIDE: "1",
         "FIRMWARE_CFLAGS": SANITIZE,
         "LD_PRELOAD": runtime,
-        "ASAN_OPTIONS": "detect_leaks=0:malloc_context_size=0",  # Python's allocations are of no interest
+        "ASAN_OPTIONS": "detect_leaks=0:malloc_context_size=0",  # allocations of Python are ignored
     }
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-s", "-p", "no:cacheprovider", *tests],
@@ -59,7 +59,7 @@ def test_what_no_recording_reaches_passes_with_the_address_sanitizer() -> None:
 def test_sanitizers_find_overflows_and_reads_out_of_bounds(
     compile_program: CompileProgram, tmp_path: Path, statements: str, finding: str
 ) -> None:
-    """Without this, a run without findings proves nothing."""
+    """Shows that a run without findings is meaningful."""
     if not has_library("gcc", "libasan.so"):
         pytest.skip("gcc has no address sanitizer")
     source = tmp_path / "mistake.c"
@@ -71,7 +71,7 @@ def test_sanitizers_find_overflows_and_reads_out_of_bounds(
 
 
 def test_no_file_scope_state(tmp_path: Path) -> None:
-    """Many boards may live in one process: no object file has writable data."""
+    """Several boards may run in one process: no object file has writable data."""
     command = ["gcc", *STRICT, "-O0", "-fno-pie", f"-I{FIRMWARE}", "-c", *(str(FIRMWARE / s) for s in CORE_SOURCES)]
     subprocess.run(command, cwd=tmp_path, check=True)
     objects = sorted(str(path) for path in tmp_path.glob("*.o"))
@@ -82,7 +82,7 @@ def test_no_file_scope_state(tmp_path: Path) -> None:
 
 
 def test_no_floating_point() -> None:
-    """`double` is 32 bits on some targets: the core has integers only."""
+    """`double` has 32 bits on some targets: the core uses integers only."""
     for source in CORE_SOURCES:
         text = re.sub(r"/\*.*?\*/", "", (FIRMWARE / source).read_text(encoding="utf-8"), flags=re.DOTALL)
         text = re.sub(r'"[^"]*"', "", text)

@@ -22,7 +22,7 @@ CAUSES: Final = {
 
 
 class Rule(NamedTuple):
-    """What a finding is called; the suspicions that explain it; what it is called where that is not enabled."""
+    """Fault of a finding, the suspicions that explain it, and the substitute fault if that fault is disabled."""
 
     fault: str
     instead: int = 0
@@ -106,7 +106,7 @@ def test_a_suspicion_replaces_only_the_findings_that_it_explains(rig: Diagnosis,
     cause = CAUSES[suspicion] if rule.instead & suspicion else rule.fault
     first, faults = verdict(rig, rig.finding(name), suspicion)
     assert first == BITS[cause]
-    kept = BITS["OVER_CURRENT"] if name == "OVER_CURRENT_TRIP" else 0  # the switches are open, whatever the cause
+    kept = BITS["OVER_CURRENT"] if name == "OVER_CURRENT_TRIP" else 0  # the switches are open, independent of the cause
     assert faults == BITS[cause] | kept
 
 
@@ -242,7 +242,7 @@ def test_a_revision_replaces_the_first_fault_and_removes_void_faults(rig: Diagno
     assert latch.record.code == latch.latch.first
 
 
-def test_what_is_not_enabled_is_not_captured(rig: Diagnosis) -> None:
+def test_disabled_faults_are_not_captured(rig: Diagnosis) -> None:
     latch = Latch(rig)
     latch.latch.enabled = ALL & ~BITS["OVER_SPEED"]
     assert latch.capture("OVER_SPEED") == 0

@@ -1,4 +1,4 @@
-"""Each monitor alone: what it needs to see until it says something, and what is not enough."""
+"""Each monitor alone: conditions under which it raises a finding, and conditions under which it does not."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def rig(compile_c: CompileC) -> Diagnosis:
 
 
 def first_tick(step: Callable[[int], set[str]], finding: str, ticks: int) -> int:
-    """Tick, counted from 1, in which a finding comes first; it is the only one until then. 0: it never does."""
+    """First tick (from 1) with the finding, which is the only one until then; 0: never."""
     for tick in range(1, ticks + 1):
         found = step(tick)
         if found:
@@ -92,13 +92,13 @@ def test_another_constant_code_is_no_noise(rig: Diagnosis, again: int, suspected
 
 def test_equal_codes_are_repeating_after_two_and_suspected_after_six(rig: Diagnosis) -> None:
     noise(rig, 1, 64)
-    told = []
+    reported = []
     for _ in range(8):
         rig.sensor(2, 2048)
         evidence = rig.suspect()
-        told.append((evidence.repeating == 0b100, bool(evidence.suspected & SENSOR)))
-    assert [repeating for repeating, _ in told] == [False] * 2 + [True] * 6
-    assert [suspected for _, suspected in told] == [False] * 6 + [True] * 2
+        reported.append((evidence.repeating == 0b100, bool(evidence.suspected & SENSOR)))
+    assert [repeating for repeating, _ in reported] == [False] * 2 + [True] * 6
+    assert [suspected for _, suspected in reported] == [False] * 6 + [True] * 2
 
 
 # ---- phases: at frame 0 the current in d is that of phase a, the current in q goes from b to c
@@ -110,20 +110,20 @@ def driven(rig: Diagnosis) -> Diagnosis:
 
 
 @pytest.mark.parametrize(
-    ("current", "wanted", "tick"),
+    ("current", "set_point", "tick"),
     [
-        ((0, 2000), (2 * SILENT + 2, 2000), 8),  # less than is certain
-        ((0, 2000), (2 * SILENT - 2, 2600), 0),  # more need not flow
-        ((0, 1200), (SILENT + 10, 1000), 8),  # hardly any of what the others have
+        ((0, 2000), (2 * SILENT + 2, 2000), 8),  # below the certain threshold
+        ((0, 2000), (2 * SILENT - 2, 2600), 0),  # more current is not required
+        ((0, 1200), (SILENT + 10, 1000), 8),  # much less than the other phases
         ((140, 1200), (SILENT + 10, 1000), 0),  # an eighth
         ((0, 1200), (SILENT - 10, 1000), 0),
     ],
 )
 def test_a_phase_without_current_at_a_set_point_for_eight_ticks_is_lost(
-    driven: Diagnosis, current: tuple[int, int], wanted: tuple[int, int], tick: int
+    driven: Diagnosis, current: tuple[int, int], set_point: tuple[int, int], tick: int
 ) -> None:
     driven.current(*current)
-    driven.seen.current_ref = wanted
+    driven.seen.current_ref = set_point
     assert first_tick(lambda _: driven.phase(), "PHASE_NO_CURRENT", 20) == tick
 
 
@@ -137,7 +137,7 @@ def test_a_phase_is_suspected_after_two_ticks_without_current_with_decay(driven:
     driven.seen.current_ref = (0, 2000)
     for _ in range(125):
         driven.phase()
-        driven.monitors.phase.octants[0] = 0  # of what this test is not about
+        driven.monitors.phase.octants[0] = 0  # not relevant for this test
     assert driven.suspect().phases_without_current == 0b001
     driven.phase()  # the 128th
     driven.monitors.phase.octants[0] = 0
@@ -159,7 +159,7 @@ def test_a_phase_is_not_compared_during_an_unconfirmed_stop_or_a_reversal_of_the
 def test_no_current_in_six_of_eight_octants_and_33_samples_is_a_lost_phase(
     driven: Diagnosis, sectors: int, tick: int
 ) -> None:
-    """The current goes from b to c whatever the rotor does."""
+    """The current flows from b to c at every rotor angle."""
 
     def step(k: int) -> set[str]:
         angle = (k % sectors + 0.5) * math.pi / 4.0
@@ -209,7 +209,7 @@ def test_voltage_without_current_for_forty_ticks(driven: Diagnosis, change: dict
 
 
 def test_missing_current_of_a_start_up_is_not_counted_in_spin(driven: Diagnosis) -> None:
-    """Its frame is not that of the rotor, whose back-EMF the voltage then contains."""
+    """The reference frame of the start-up is not that of the rotor, so its voltage contains the back-EMF."""
     driven.seen.voltage, driven.seen.current_ref, driven.seen.spins = (0, 4000), (0, 2000), False
     for _ in range(100):
         assert driven.phase() == NOTHING
@@ -219,7 +219,7 @@ def test_missing_current_of_a_start_up_is_not_counted_in_spin(driven: Diagnosis)
 
 @pytest.mark.parametrize(("change", "tick"), [(1000, 0), (0, 40)])
 def test_inductive_voltage_is_no_missing_current(driven: Diagnosis, change: int, tick: int) -> None:
-    """The speed loop alternates: the current follows each set-point until the next one turns it round."""
+    """The set-point of the speed loop alternates: the current follows each set-point until the next reversal."""
 
     def step(number: int) -> set[str]:
         sign = (-1) ** number
@@ -234,13 +234,13 @@ def test_a_current_that_does_not_follow_is_suspected_after_eight_ticks_and_decay
     driven: Diagnosis,
 ) -> None:
     driven.seen.voltage, driven.seen.current_ref = (0, 4000), (0, 2000)
-    told = []
+    reported = []
     for tick in range(1, 13):
         if tick == 9:
             driven.seen.voltage = (0, 0)
         driven.phase()
-        told.append(bool(driven.suspect().suspected & CURRENT))
-    assert told == [False] * 7 + [True] * 4 + [False]
+        reported.append(bool(driven.suspect().suspected & CURRENT))
+    assert reported == [False] * 7 + [True] * 4 + [False]
 
 
 def test_phase_monitor_is_reset_without_current_control(driven: Diagnosis) -> None:
@@ -256,7 +256,7 @@ def test_phase_monitor_is_reset_without_current_control(driven: Diagnosis) -> No
     assert first_tick(lambda _: driven.phase(), "PHASE_NO_CURRENT", 20) == 8
 
 
-# ---- the encoder's count
+# ---- count of the encoder
 @pytest.mark.parametrize(("changes", "tick"), [(12, 64), (11, 0)])
 def test_a_count_that_alternates_in_two_windows_of_32_ticks(rig: Diagnosis, changes: int, tick: int) -> None:
     position = 0
@@ -274,7 +274,7 @@ def test_one_window_of_toggles_is_not_enough_and_a_constant_window_resets(rig: D
         assert rig.encoder(k % 2 if k // 32 % 2 else 0) == NOTHING
 
 
-def test_a_hunting_shaft_moves_twice_in_one_direction(rig: Diagnosis) -> None:
+def test_a_hunting_shaft_is_no_alternating_count(rig: Diagnosis) -> None:
     for k in range(640):
         assert rig.encoder((0, 1, 2, 1)[k % 4]) == NOTHING
 
@@ -315,7 +315,7 @@ def test_windings_shorted_after_an_abrupt_stop_make_the_encoder_suspect(
     assert bool(rig.suspect().suspected & ENCODER) == suspected
 
 
-# ---- the encoder and the voltage
+# ---- encoder and voltage
 @pytest.fixture
 def spinning(rig: Diagnosis) -> Diagnosis:
     rig.seen.spins = True
@@ -325,12 +325,12 @@ def spinning(rig: Diagnosis) -> Diagnosis:
 
 
 def turn(rig: Diagnosis, tick: int, degrees: float = 20.0, size: float = 6000.0) -> None:
-    """The voltage of a rotor that turns while the encoder stands."""
+    """Set the voltage of a rotating rotor while the encoder does not count."""
     angle = math.radians(degrees * tick)
     rig.seen.voltage = (round(size * math.cos(angle)), round(size * math.sin(angle)))
 
 
-def asked(rig: Diagnosis) -> tuple[int, int]:
+def probe_current(rig: Diagnosis) -> tuple[int, int]:
     return rig.evidence.test_current.d, rig.evidence.test_current.q
 
 
@@ -349,10 +349,10 @@ def test_rotating_voltage_for_eight_ticks_with_current_is_a_lost_encoder(spinnin
     ("features", "beyond", "found"),
     [(DEAD_TIME, 0, False), (DEAD_TIME, 1, True), (0, 1, False), (0, EMF_FLOOR + 1, True)],
 )
-def test_voltage_that_dead_time_and_half_of_the_resistance_explain_is_no_back_emf(
+def test_voltage_explained_by_dead_time_and_half_of_the_resistance_is_no_back_emf(
     spinning: Diagnosis, features: int, beyond: int, found: bool
 ) -> None:
-    """By quarter turns, along the axes, where the length is exact. Without compensation twice as much is lost."""
+    """Steps of 90 degrees along the axes, where the length is exact. Without compensation the loss is doubled."""
     spinning.current(2 * SILENT, 0)
     spinning.seen.features = features
     length = EMF_FLOOR + spinning.seen.drop // 2 + beyond
@@ -375,20 +375,20 @@ def test_without_current_a_test_current_decides_after_four_ticks(
 ) -> None:
     spinning.seen.current_limit = limit
     size = min(4 * SILENT, limit)
-    asked_in: list[int] = []
+    probed_in: list[int] = []
 
     def step(tick: int) -> set[str]:
         turn(spinning, tick)
         found = spinning.encoder()
-        if asked(spinning) != (0, 0):
-            asked_in.append(tick)
-            d, q = asked(spinning)
+        if probe_current(spinning) != (0, 0):
+            probed_in.append(tick)
+            d, q = probe_current(spinning)
             assert (abs(d), abs(q)) in {(size, 0), (0, size)}
             spinning.current(round(part * d), round(part * q))
         return found
 
     assert first_tick(step, finding, 40) == 15
-    assert asked_in == [11, 12, 13, 14]
+    assert probed_in == [11, 12, 13, 14]
 
 
 @pytest.mark.parametrize(("i_q", "sign"), [(1000, -1), (0, 1), (-1000, 1)])
@@ -398,9 +398,9 @@ def test_a_test_current_on_q_is_directed_away_from_the_limit(spinning: Diagnosis
         turn(spinning, tick)
         spinning.seen.voltage = (0, 6000) if tick >= 10 else spinning.seen.voltage
         spinning.encoder(kp=0)
-        if asked(spinning) != (0, 0):
+        if probe_current(spinning) != (0, 0):
             break
-    assert asked(spinning) == (0, sign * 4 * SILENT)
+    assert probe_current(spinning) == (0, sign * 4 * SILENT)
     spinning.current(0, round(0.8 * sign * 4 * SILENT))
     spinning.seen.voltage = (0, 6000 + round(RESISTANCE * spinning.seen.current.q))
     assert first_tick(lambda _: spinning.encoder(kp=0), "EMF_CONFIRMED", 10) == 4
@@ -410,7 +410,7 @@ def test_a_voltage_that_disappears_with_the_test_current_was_wind_up(spinning: D
     for tick in range(1, 40):
         turn(spinning, tick, size=6000.0 if tick < 11 else 0.0)
         assert spinning.encoder() == NOTHING
-        d, q = asked(spinning)
+        d, q = probe_current(spinning)
         spinning.current(d, q)
 
 
@@ -427,13 +427,13 @@ def test_constant_voltage_for_a_quarter_turn_of_a_back_emf_needs_a_test(
     assert spinning.encoder() == ({"EMF_WITHOUT_COUNT"} if immediate else NOTHING)
     for tick in range(2, 20):
         turn(spinning, tick, 120.0 if immediate else 20.0)
-        if spinning.encoder() or asked(spinning) != (0, 0):
+        if spinning.encoder() or probe_current(spinning) != (0, 0):
             break
-    assert (asked(spinning) == (0, 0)) == immediate
+    assert (probe_current(spinning) == (0, 0)) == immediate
 
 
 def test_growing_voltage_in_a_constant_direction_for_sixty_ticks_drives_no_current(spinning: Diagnosis) -> None:
-    """From the sixth tick on: the first three do not count, and the filter takes two."""
+    """From the sixth tick on: the first three are ignored, and the filter takes two."""
     spinning.seen.voltage = (6000, 0)
     assert first_tick(lambda _: spinning.encoder(), "CURRENT_NOT_FOLLOWING", 100) == 65
 
@@ -464,7 +464,7 @@ def test_an_abrupt_stop_is_probed_with_a_current_after_twenty_ticks(
     spinning: Diagnosis, counts: int, tick: int
 ) -> None:
     stopped_at_once(spinning, counts)
-    ticks = [k for k in range(1, 121) if spinning.encoder() == NOTHING and asked(spinning) != (0, 0)]
+    ticks = [k for k in range(1, 121) if spinning.encoder() == NOTHING and probe_current(spinning) != (0, 0)]
     assert ticks == (list(range(tick, tick + 80)) if tick else [])
 
 
@@ -472,12 +472,12 @@ def test_an_abrupt_stop_is_probed_with_a_current_after_twenty_ticks(
 def test_a_probe_with_four_consecutive_voltage_changes_detects_a_rotating_rotor(
     spinning: Diagnosis, settled: int, swings: int, tick: int
 ) -> None:
-    """It settles for eight ticks, and is compared with the eighth; what has swung by then swings back."""
+    """The current settles for eight ticks; later voltages are compared with that of the eighth tick."""
     stopped_at_once(spinning)
     started = 20
 
     def step(k: int) -> set[str]:
-        d, _ = asked(spinning)
+        d, _ = probe_current(spinning)
         spinning.current(round(0.75 * d) + 1, 0)
         beyond = started + settled <= k < started + settled + swings
         spinning.seen.integrator_d = (EMF_FLOOR // 2 + 2) << 40 if beyond else 0
@@ -491,14 +491,14 @@ def test_a_probe_without_current_or_with_a_changed_set_point_detects_nothing(spi
         spinning.encoder(100)
         stopped_at_once(spinning)
         for k in range(1, 60):
-            d, _ = asked(spinning)
+            d, _ = probe_current(spinning)
             spinning.current(d if flows else 0, 0)
             spinning.seen.current_ref.q = (SILENT // 2 + 1) if flows and k >= 31 else 0
             spinning.seen.integrator_d = 5000 << 40 if k >= 28 else 0
             assert spinning.encoder() == NOTHING
 
 
-# ---- the encoder's angle
+# ---- angle of the encoder
 @pytest.fixture
 def turning(rig: Diagnosis) -> Diagnosis:
     rig.seen.spins = True
@@ -510,7 +510,7 @@ def turning(rig: Diagnosis) -> Diagnosis:
 
 
 def test_a_residual_voltage_for_five_ticks_is_an_angle_mismatch(turning: Diagnosis) -> None:
-    """The filter takes the first one."""
+    """The filter delays the finding by one tick."""
     turning.seen.voltage = (5000, 3000)
     assert first_tick(lambda _: turning.angle(), "EMF_ANGLE_MISMATCH", 50) == 6
 
@@ -522,7 +522,7 @@ def test_a_residual_voltage_for_five_ticks_is_an_angle_mismatch(turning: Diagnos
         {"features": DEAD_TIME},
         {"features": BUS_COMPENSATION},
         {"conducting_phases": 5},
-        {"voltage": (15000, 3000)},  # too much for a back-EMF
+        {"voltage": (15000, 3000)},  # too large for a back-EMF
         {"emf": EMF_FLOOR // 4},
         {"current_magnitude": SILENT - 1},
     ],
@@ -538,7 +538,7 @@ def test_conditions_without_an_angle_mismatch(turning: Diagnosis, change: dict[s
 def test_a_residual_above_three_times_the_back_emf_is_no_angle_mismatch(
     turning: Diagnosis, less: int, found: bool
 ) -> None:
-    """And by what else is not known: twice its size it would be turned by 180 degrees, and half of it may be wrong."""
+    """Bound of the residual: 2 times the back-EMF (rotated by 180 degrees), plus the uncertainties of the model."""
     unknown = EMF_FLOOR // 4 + turning.seen.emf // 2 + turning.seen.drop // 2
     beyond = unknown + 3 * turning.seen.emf - less
     turning.seen.voltage = (beyond, turning.seen.emf + int(RESISTANCE * turning.seen.current.q))
@@ -556,16 +556,16 @@ def test_a_residual_above_three_times_the_back_emf_is_no_angle_mismatch(
 def test_the_voltage_of_an_intact_motor_is_no_angle_mismatch(
     turning: Diagnosis, current: tuple[int, int], omega: int
 ) -> None:
-    """A sign that is wrong leaves twice the drop of the resistance, or of the inductance."""
+    """A wrong sign would leave twice the voltage drop of the resistance or of the inductance."""
     d, q = current
     for inductive in (0.1, 1.0):
         turning.loop.omega_l_d = turning.loop.omega_l_q = round(inductive * 2**24)
         turning.current(d, q)
-        turned = inductive * omega / 32768.0
+        omega_l = inductive * omega / 32768.0
         turning.seen.omega_e = omega
         turning.seen.voltage = (
-            round(RESISTANCE * d - turned * q),
-            round(RESISTANCE * q + turned * d + turning.seen.emf),
+            round(RESISTANCE * d - omega_l * q),
+            round(RESISTANCE * q + omega_l * d + turning.seen.emf),
         )
         assert first_tick(lambda _: turning.angle(), "EMF_ANGLE_MISMATCH", 50) == 0
         assert abs(turning.monitors.angle.unexplained_voltage.d) < 10
@@ -624,25 +624,25 @@ def test_a_flux_that_follows_the_vector_is_a_free_rotor_with_a_dead_encoder(
     assert first_tick(lambda _: rig.stall(), finding, 1000) == tick
 
 
-def mirrored(rig: Diagnosis, way: int) -> None:
-    """The shaft moves while the vector turns to the first side."""
+def mirrored(rig: Diagnosis, movement: int) -> None:
+    """The shaft moves while the vector rotates to the first side."""
     rig.seen.position = 0
     rig.stall_start(15888)
     for _ in range(50):
         assert rig.stall() == NOTHING
-    assert rig.stall(way) == NOTHING
-    assert rig.monitors.stall.mirrored == (abs(way) >= 3)
+    assert rig.stall(movement) == NOTHING
+    assert rig.monitors.stall.mirrored == (abs(movement) >= 3)
 
 
-def test_two_counts_are_no_movement(rig: Diagnosis) -> None:
+def test_movement_by_two_counts_is_ignored(rig: Diagnosis) -> None:
     mirrored(rig, 2)
     mirrored(rig, -2)
 
 
-@pytest.mark.parametrize(("way", "tick"), [(24, 1), (23, 16)])
-def test_a_shaft_that_continues_to_move_was_blocked(rig: Diagnosis, way: int, tick: int) -> None:
+@pytest.mark.parametrize(("movement", "tick"), [(24, 1), (23, 16)])
+def test_a_shaft_that_continues_to_move_was_blocked(rig: Diagnosis, movement: int, tick: int) -> None:
     mirrored(rig, 3)
-    assert first_tick(lambda k: rig.stall(3 + way + (k > 8) * 3), "SHAFT_BLOCKED", 40) == tick
+    assert first_tick(lambda k: rig.stall(3 + movement + (k > 8) * 3), "SHAFT_BLOCKED", 40) == tick
 
 
 @pytest.mark.parametrize(("back", "tick"), [(6, 2), (5, 16)])
@@ -664,7 +664,7 @@ def test_against_the_torque_the_vector_is_rotated_to_its_largest_angle(rig: Diag
 
 
 # ---- the shaft in motion
-def test_a_stall_needs_more_than_its_ticks(rig: Diagnosis) -> None:
+def test_stall_is_found_after_its_number_of_ticks(rig: Diagnosis) -> None:
     rig.shaft_seen.no_movement_at_limit = True
     assert first_tick(lambda _: rig.shaft(), "SHAFT_BLOCKED", 20) == 6
     rig.shaft_seen.no_movement_at_limit = False
@@ -685,7 +685,7 @@ def test_a_stall_needs_more_than_its_ticks(rig: Diagnosis) -> None:
 def test_speed_gained_against_the_full_current_or_beyond_the_limit(
     rig: Diagnosis, change: dict[str, object], tick: int
 ) -> None:
-    """By more than the margin of 1000 for more than four ticks."""
+    """Speed gain above the margin of 1000 for more than four ticks."""
     state: dict[str, object] = {"decelerated_at_limit": True, "speed_limit": 100000, "speed": 6002, **change}
     for name, value in state.items():
         setattr(rig.shaft_seen, name, value)
@@ -694,7 +694,7 @@ def test_speed_gained_against_the_full_current_or_beyond_the_limit(
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_bounds_of_path_and_speed_hold_with_their_features(rig: Diagnosis, sign: int) -> None:
+def test_following_error_and_over_speed_need_their_features(rig: Diagnosis, sign: int) -> None:
     rig.shaft_seen.following_error_max, rig.shaft_seen.over_speed_max, rig.shaft_seen.speed_limit = 100, 200, 1000
     rig.shaft_seen.following_error, rig.shaft_seen.speed = 101 * sign, 201 * sign
     assert first_tick(lambda _: rig.shaft(), "FOLLOWING_ERROR", 20) == 0
@@ -709,7 +709,9 @@ def test_the_bounds_of_path_and_speed_hold_with_their_features(rig: Diagnosis, s
 
 # ---- heat and bus
 @pytest.mark.parametrize(("hot", "cool", "step"), [(2321, 1911, 1), (1911, 2321, -1)])
-def test_heat_lasts_sixteen_ticks_and_ends_below_its_hysteresis(rig: Diagnosis, hot: int, cool: int, step: int) -> None:
+def test_over_temperature_is_found_after_sixteen_ticks_and_ends_below_its_hysteresis(
+    rig: Diagnosis, hot: int, cool: int, step: int
+) -> None:
     assert first_tick(lambda _: rig.heat(hot, cool, hot - step), "HEAT_SINK_HOT", 40) == 0
     assert first_tick(lambda _: rig.heat(hot, cool, hot), "HEAT_SINK_HOT", 40) == 16
     assert rig.heat(hot, cool, cool) == {"HEAT_SINK_HOT"}
@@ -738,5 +740,5 @@ def test_bus_voltage_and_over_current_latch(
     assert rig.names() == findings
 
 
-def test_the_constants_of_this_rig_are_in_order() -> None:
+def test_constants_of_the_rig_are_consistent() -> None:
     assert DIRECTION_MIN < SILENT < EMF_FLOOR

@@ -1,4 +1,4 @@
-"""The thermal model of a winding in integers, beside the same heat balance in floating point."""
+"""The thermal model of a winding in integers, compared with the same heat balance in floating point."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from servo_msgs_py.tuning.winding import COLD, COPPER, FULL, STEP_TICKS, Winding
 from tuning_tool import configuration
 
 STEP = STEP_TICKS * 0.5e-3  # s
-LSB = FULL / 2**15  # of a published temperature [K]
+LSB = FULL / 2**15  # LSB of the published temperature [K]
 AMPERE = 2**15 / 8.25
 MEMBERS = {name: member for name, member in AxisConfigTable.load().members.items() if name.startswith("winding_model.")}
 GROUP = "winding_model."
@@ -37,7 +37,7 @@ def axis(**changes: float) -> Axis:
 
 
 class Model:
-    """The firmware's model of an axis."""
+    """Winding model of the firmware for one axis."""
 
     def __init__(self, rig: Diagnosis, block: dict[str, int]) -> None:
         self._lib = rig.lib
@@ -59,7 +59,7 @@ class Model:
         self.state.temperature = round(value / FULL * 2**31)
 
     def steps(self, i_d: float, i_q: float, count: int = 1, *, supervised: bool = True) -> None:
-        """So many steps with this current [A]."""
+        """Run `count` steps with this current [A]."""
         current = (round(i_d * AMPERE), round(i_q * AMPERE))
         for _ in range(count):
             due = [self._lib.winding_model_add(self.state, current) for _ in range(STEP_TICKS)]
@@ -67,12 +67,12 @@ class Model:
             self._lib.winding_model_step(self.state, self.config, supervised)
 
     def step_steadily(self, i_q: float) -> None:
-        """A step with the sum that its ticks would come to [A]: quicker."""
+        """Run a step with the sum of its ticks at a constant current [A]; faster than single ticks."""
         self.state.squares = round(i_q * AMPERE) ** 2 // STEP_TICKS * STEP_TICKS
         self._lib.winding_model_step(self.state, self.config, True)
 
     def limit(self, maximum: float = 4.0) -> float:
-        """What is left of a limit [A]."""
+        """Derated current limit [A]."""
         winding = self._lib.winding_model_limit(self.state, self.config, round(maximum * AMPERE))
         return min(float(winding) / AMPERE, maximum)
 
@@ -103,16 +103,16 @@ def test_integers_follow_the_heat_balance(
     nominal = Winding.of(it)
     end = exact(nominal, begin, math.hypot(i_d, i_q), steps * STEP)
     if end > 250.0 or nominal.resistance * capacity < 20.0:
-        return  # a winding that saturates, and one that is quicker than any motor's
+        return  # a winding that saturates, and one with a shorter time constant than any motor
     model = Model.of(rig, it)
     model.celsius = begin
     model.steps(i_d, i_q, steps)
-    # a step of 32 ms sums up the losses of its beginning; the integers of a very slow winding are coarse
-    way = abs(end - begin) + abs(begin - nominal.ambient) * 0.02
-    assert model.celsius == pytest.approx(end, abs=0.05 + 0.02 * way)
+    # a step of 32 ms uses the losses of its start; the integers of a very slow winding are coarse
+    change = abs(end - begin) + abs(begin - nominal.ambient) * 0.02
+    assert model.celsius == pytest.approx(end, abs=0.05 + 0.02 * change)
 
 
-def test_the_rated_current_for_ever_leads_to_the_maximum(rig: Diagnosis) -> None:
+def test_the_rated_current_leads_to_the_maximum_temperature(rig: Diagnosis) -> None:
     model = Model.of(rig, axis(heat_capacity=1.0))
     model.celsius = 40.0
     model.steps(0.0, 2.0, round(300.0 / STEP))
@@ -121,13 +121,13 @@ def test_the_rated_current_for_ever_leads_to_the_maximum(rig: Diagnosis) -> None
 
 
 @pytest.mark.parametrize(("i_d", "i_q"), [(0.0, 4.0), (-4.0, 0.0), (2.4, -3.2)])
-def test_only_the_length_of_the_current_counts(rig: Diagnosis, i_d: float, i_q: float) -> None:
+def test_heating_depends_on_the_amplitude_of_the_current_vector_only(rig: Diagnosis, i_d: float, i_q: float) -> None:
     model = Model.of(rig, axis())
     model.steps(i_d, i_q, 100)
     assert model.celsius == pytest.approx(exact(Winding.of(axis()), 100.0, 4.0, 100 * STEP), abs=0.01)
 
 
-def test_it_cools_down_to_the_surroundings_and_no_further(rig: Diagnosis) -> None:
+def test_winding_cools_down_to_the_temperature_of_its_surroundings(rig: Diagnosis) -> None:
     model = Model.of(rig, axis(heat_capacity=1.0, thermal_resistance=19.0))
     model.steps(0.0, 0.0, round(300.0 / STEP))
     assert model.celsius == pytest.approx(40.0, abs=LSB)
@@ -135,8 +135,8 @@ def test_it_cools_down_to_the_surroundings_and_no_further(rig: Diagnosis) -> Non
 
 @settings(max_examples=60)
 @given(data=st.data())
-def test_no_configuration_that_a_board_takes_leaves_the_formats(rig: Diagnosis, data: st.DataObject) -> None:
-    """Every member anywhere in its range, any current, any temperature: nothing overflows, and the limit is one."""
+def test_any_accepted_configuration_stays_within_the_formats(rig: Diagnosis, data: st.DataObject) -> None:
+    """All members within their ranges, any current and temperature: no overflow, and the limit is never exceeded."""
     block = {path: data.draw(st.integers(m.minimum, m.maximum), path) for path, m in MEMBERS.items()}
     model = Model(rig, block)
     raw = st.integers(-(2**15), 2**15 - 1)
@@ -145,7 +145,7 @@ def test_no_configuration_that_a_board_takes_leaves_the_formats(rig: Diagnosis, 
         current = data.draw(raw), data.draw(raw)
         model.steps(current[0] / AMPERE, current[1] / AMPERE)
         raised = (model.state.temperature >> 16) - lowest
-        assert raised >= -1, "neither heating nor cooling wraps"
+        assert raised >= -1, "no wrap by heating or cooling"
         maximum = data.draw(st.integers(0, 2**15 - 1))
         limit = model._lib.winding_model_limit(model.state, model.config, maximum)
         assert min(maximum, block[GROUP + "rated_current"]) <= limit <= 2**15 - 1
@@ -153,7 +153,7 @@ def test_no_configuration_that_a_board_takes_leaves_the_formats(rig: Diagnosis, 
 
 
 def test_the_largest_losses_saturate(rig: Diagnosis) -> None:
-    """At the ends of the ranges, with sanitizers: the temperature rises to the end of its format and stays there."""
+    """At the ends of the ranges, with sanitizers: the temperature saturates at the end of its format."""
     block = {path: m.maximum for path, m in MEMBERS.items()} | {GROUP + "ambient": -12800, GROUP + "initial": 32767}
     model = Model(rig, block)
     model.steps(-8.25, -8.25, 3)
@@ -172,10 +172,12 @@ def test_the_limit_falls_from_the_derating_to_the_rated_current_at_the_maximum(r
         assert model.limit() == pytest.approx(limit, abs=2.0 / 30.0 * LSB + 1.0 / AMPERE)
     assert model.limit(1.5) == pytest.approx(1.5, abs=1.0 / AMPERE)
     model.celsius = 115.0
-    assert model.limit(8.0) == pytest.approx(5.0, abs=0.01)  # what a host allows beyond the motor's is derated, too
+    assert model.limit(8.0) == pytest.approx(
+        5.0, abs=0.01
+    )  # a host limit above the motor's current limit is derated too
 
 
-def test_all_the_current_there_is_ends_at_the_maximum_without_a_fault(rig: Diagnosis) -> None:
+def test_full_current_demand_ends_at_the_maximum_temperature_without_a_fault(rig: Diagnosis) -> None:
     model = Model.of(rig, axis(heat_capacity=1.0))
     highest = 0.0
     for _ in range(round(120.0 / STEP)):
@@ -194,15 +196,15 @@ def test_all_the_current_there_is_ends_at_the_maximum_without_a_fault(rig: Diagn
     ambient=st.integers(-20, 80),
     begin=st.floats(20.0, 130.0),
 )
-def test_any_motor_ends_between_derating_and_maximum(
+def test_any_motor_settles_between_derating_and_maximum_temperature(
     rig: Diagnosis, r_s: float, rated: float, capacity: float, ambient: int, begin: float
 ) -> None:
-    """From anywhere, with a demand for all the current there is, and never with a fault."""
+    """From any start temperature with the full current demand, without a fault."""
     it = axis(motor__r_s=r_s, motor__rated_current=rated, heat_capacity=capacity, ambient=ambient)
     nominal = Winding.of(it)
     heats = nominal.loss(4.0, 130.0) * STEP / capacity
     if heats > 5.0 or nominal.resistance * capacity > 60.0:
-        return  # from the derating to the fault in a few steps; and what takes too long here
+        return  # skipped: few steps from derating to fault, or too long for this test
     model = Model.of(rig, it)
     model.celsius = begin
     for _ in range(round(8.0 * nominal.resistance * capacity / STEP)):
@@ -215,7 +217,7 @@ def test_any_motor_ends_between_derating_and_maximum(
 
 
 # ---- the fault
-def test_a_fault_needs_the_supervision_and_ends_below_the_maximum(rig: Diagnosis) -> None:
+def test_motor_temperature_fault_needs_its_feature_and_can_be_cleared_below_the_maximum(rig: Diagnosis) -> None:
     model = Model.of(rig, axis())
     model.celsius = 139.5
     model.steps(0.0, 0.0)
@@ -233,14 +235,14 @@ def test_a_fault_needs_the_supervision_and_ends_below_the_maximum(rig: Diagnosis
     assert not model.state.hot
 
 
-# ---- what the tuning code makes of it
-def test_the_figures_of_the_report_are_those_of_the_balance() -> None:
+# ---- report of the tuning code
+def test_the_figures_of_the_report_agree_with_the_heat_balance() -> None:
     it = replace(Winding.of(axis()), ambient=25.0)
     assert it.equilibrium(0.0) == 25.0
     for current in (1.0, 2.0, 2.5):
         end = it.equilibrium(current)
         assert it.loss(current, end) == pytest.approx((end - 25.0) / it.resistance)
-    assert math.isinf(it.equilibrium(4.0))  # its own heating outruns the surroundings
+    assert math.isinf(it.equilibrium(4.0))  # it heats up faster than its surroundings
     assert it.time_to(10.0, 1.0) == 0.0
     assert math.isinf(it.time_to(it.equilibrium(2.0) + 1.0, 2.0))
     for current in (2.0, 4.0):
@@ -263,7 +265,7 @@ def test_the_figures_of_the_report_are_those_of_the_balance() -> None:
         ({"heat_capacity": 1e12}, "heating of the winding", "would vanish"),
     ],
 )
-def test_what_cannot_work_is_refused(changes: dict[str, float], name: str, reason: str) -> None:
+def test_invalid_winding_entries_are_refused(changes: dict[str, float], name: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=name) as refusal:
         tuned(axis(**changes), configuration())
     assert reason in str(refusal.value)

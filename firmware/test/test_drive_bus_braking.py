@@ -1,4 +1,4 @@
-"""The brake resistor's hysteresis and budget, and the braking current that the bus bears, against arithmetic."""
+"""Hysteresis and energy budget of the brake resistor, and the permitted braking current, against arithmetic."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def volts(value: float) -> int:
 
 
 class Resistor:
-    """A resistor of 4.7 ohm, 10 W for ever, 60 J at once, on at 28 V, off at 27 V."""
+    """A resistor of 4.7 ohm, 10 W continuous, 60 J pulse, on at 28 V, off at 27 V."""
 
     def __init__(self, core: Core, *, fitted: bool = True, **changes: object) -> None:
         self.lib = core.lib
@@ -53,7 +53,7 @@ def test_without_a_resistor_nothing_is_switched(core: Core) -> None:
 
 
 def test_the_budget_is_the_energy_of_the_resistor(core: Core) -> None:
-    """30 V on 4.7 ohm are 191.5 W, of which 10 leave it: 60 J last for 0.33 s."""
+    """30 V at 4.7 ohm are 191.5 W, minus 10 W of cooling: 60 J last for 0.33 s."""
     resistor = Resistor(core)
     resistor.step(30.0)
     ticks = 0
@@ -66,8 +66,8 @@ def test_the_budget_is_the_energy_of_the_resistor(core: Core) -> None:
     assert not resistor.brake.available
 
 
-def test_a_spent_resistor_rests_until_half_of_the_budget_is_back(core: Core) -> None:
-    """30 J at 10 W: 3 s, at whatever voltage."""
+def test_an_exhausted_resistor_is_off_until_half_of_the_budget_has_recovered(core: Core) -> None:
+    """30 J at 10 W: 3 s, independent of the voltage."""
     resistor = Resistor(core)
     resistor.step(35.0, 1500)
     resistor.step(24.0, 20_000)
@@ -83,7 +83,7 @@ def test_a_spent_resistor_rests_until_half_of_the_budget_is_back(core: Core) -> 
     assert resistor.brake.on, "used again"
 
 
-def test_a_cool_resistor_stays_cool(core: Core) -> None:
+def test_heat_of_the_resistor_decays_to_zero_and_no_further(core: Core) -> None:
     resistor = Resistor(core)
     resistor.step(29.0, 10)
     assert resistor.heat > 0.0
@@ -101,7 +101,7 @@ def test_braking_current_is_folded_back(core: Core, u_dc: float, part: float) ->
 
 
 def test_a_rising_bus_folds_back_earlier_and_a_falling_one_not_later(core: Core) -> None:
-    """Four ticks ahead along the rise."""
+    """The voltage is extrapolated by four ticks."""
     resistor = Resistor(core, fitted=False)
     resistor.step(28.0, 2)
     resistor.step(28.5)
@@ -112,7 +112,7 @@ def test_a_rising_bus_folds_back_earlier_and_a_falling_one_not_later(core: Core)
 
 @settings(deadline=None, derandomize=True, max_examples=50)
 @given(course=st.lists(st.tuples(st.floats(0.0, 36.2), st.integers(1, 400)), min_size=1, max_size=30))
-def test_never_on_below_or_spent_and_never_out_of_range(core: Core, course: list[tuple[float, int]]) -> None:
+def test_resistor_state_stays_valid_at_any_bus_voltage(core: Core, course: list[tuple[float, int]]) -> None:
     resistor = Resistor(core, board__brake__energy=3.0)
     for u_dc, ticks in course:
         resistor.step(u_dc, ticks)

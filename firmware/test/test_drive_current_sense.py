@@ -32,7 +32,7 @@ def read(core: Core, sense: Any, pair: int, first: int, second: int) -> list[int
 
 @pytest.mark.parametrize("sector", range(1, 7))
 def test_longest_low_sides_are_sampled(core: Core, sector: int) -> None:
-    """The phase left out is the one with the longest high side in this sector."""
+    """The phase with the longest high side in this sector is not sampled."""
     import math
 
     angle = math.radians(60 * sector - 30)
@@ -66,7 +66,7 @@ def test_full_range_saturates_and_never_wraps(core: Core, first: int, second: in
 @given(codes=st.tuples(U12, U12), pair=st.integers(0, 2), offsets=st.tuples(*[edges(0, 0xFFFFFFF)] * 3))
 @settings(max_examples=300)
 def test_every_bit_of_a_reading(core: Core, codes: tuple[int, int], pair: int, offsets: tuple[int, int, int]) -> None:
-    """Any code of 12 bits, any offset of 12 with its fraction, which counts to a sixteenth, halves upwards."""
+    """Any 12-bit code, any 12-bit offset with its fraction rounded to 1/16, halves upwards."""
     sense = core.ffi.new("current_sense_t *", {"offset": offsets})
     i = read(core, sense, pair, *codes)
     phases = PHASES[pair]
@@ -75,7 +75,7 @@ def test_every_bit_of_a_reading(core: Core, codes: tuple[int, int], pair: int, o
     assert i[3 - sum(phases)] == clip16(-sum(sampled))
 
 
-def test_offset_is_taken_off_with_its_fraction(core: Core, sense: Any) -> None:
+def test_offset_is_subtracted_with_its_fraction(core: Core, sense: Any) -> None:
     sense.offset[0] = MID + (10 << 16) + 0x8000  # 10.5 codes
     assert read(core, sense, AB, 2058, 2048)[0] == -8
     assert read(core, sense, AB, 2059, 2048)[0] == 8
@@ -129,7 +129,7 @@ def test_offsets_far_from_the_middle_are_not_plausible(
     assert bool(core.lib.current_sense_offsets_plausible(sense, 100)) is plausible
 
 
-def test_drift_is_followed_slowly(core: Core, sense: Any) -> None:
+def test_drift_of_the_offset_is_followed_slowly(core: Core, sense: Any) -> None:
     sense.duty = (16384, 16384, 16384)
     for _ in range(256):
         core.lib.current_sense_track(sense, (2058, 2048), 3277)
@@ -148,7 +148,7 @@ def test_drift_is_followed_slowly(core: Core, sense: Any) -> None:
     minimum=edges(0, MAX16),
 )
 @settings(max_examples=300)
-def test_every_bit_of_tracking(
+def test_every_bit_of_the_offset_tracking(
     core: Core,
     offsets: tuple[int, int, int],
     codes: tuple[int, int],
@@ -169,7 +169,7 @@ def test_every_bit_of_tracking(
 @given(codes=st.lists(st.tuples(U16, U16), min_size=2, max_size=6), shift=st.integers(0, 511))
 @settings(max_examples=40)
 def test_every_bit_of_the_calibration(core: Core, codes: list[tuple[int, int]], shift: int) -> None:
-    """256 samples of pair AB, 256 of CA of which c comes first; exact means with 16 fraction bits, 12-bit codes."""
+    """256 samples of pair AB, 256 of pair CA with c first; exact means with 16 fraction bits, 12-bit codes."""
     sense = core.ffi.new("current_sense_t *")
     core.lib.current_sense_reset(sense)
     sums = [0, 0, 0]
@@ -186,7 +186,7 @@ def test_every_bit_of_the_calibration(core: Core, codes: list[tuple[int, int]], 
 
 @given(offsets=st.tuples(*[edges(0, 0xFFFFFFF)] * 3), tolerance=edges(0, 4095))
 def test_plausible_means_within_the_tolerance(core: Core, offsets: tuple[int, int, int], tolerance: int) -> None:
-    """In whole codes, the fraction cut off; the bounds belong to it."""
+    """In whole codes, with the fraction truncated; the bounds are plausible."""
     for at in (offsets, tuple(clip_offset(o, tolerance) for o in offsets)):
         sense = core.ffi.new("current_sense_t *", {"offset": at})
         plausible = all(abs((o >> 16) - 2048) <= tolerance for o in at)
@@ -194,13 +194,13 @@ def test_plausible_means_within_the_tolerance(core: Core, offsets: tuple[int, in
 
 
 def clip_offset(offset: int, tolerance: int) -> int:
-    """Into the neighbourhood of the bounds."""
+    """Offset moved close to the bounds."""
     return min(max(offset, max(2047 - tolerance, 0) << 16), min(2049 + tolerance, 4095) << 16)
 
 
 @pytest.mark.parametrize("pair", [AB, BC, CA])
 def test_short_high_sides_give_no_offset(core: Core, sense: Any, pair: int) -> None:
-    """Only a high side that conducts long enough leaves the shunt without current."""
+    """The shunt is without current only if the high side conducts long enough."""
     first, second = PHASES[pair]
     duty = [3276, 3276, 3276]
     duty[first] = 3277

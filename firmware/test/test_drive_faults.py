@@ -1,4 +1,4 @@
-"""Faults: raised from every state, cleared only when their cause is gone, and never followed by motion."""
+"""Faults: raised in every state, cleared only without their cause, and never followed by motion."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_clear_is_one_shot_and_does_nothing_outside_fault(bench: Bench) -> None:
 
 
 def test_outputs_never_come_on_with_a_fault_pending(bench: Bench) -> None:
-    """A fault that is raised in the very slow loop that would leave CALIB."""
+    """A fault is raised in the slow loop that would leave CALIB."""
     bench.to_stop()
     bench.write(0, enable=1)
     bench.to_substate(0, SUBSTATE.CALIB)
@@ -184,7 +184,7 @@ def test_offset_far_from_mid_scale_is_refused(bench: Bench, codes: tuple[int, in
 
 
 def give_up(bench: Bench) -> float:
-    """Let a search of axis 1 fail; returns the seconds it took."""
+    """Let a search of axis 1 fail; return its duration [s]."""
     bench.to_stop()
     bench.shaft_is_free[0] = False
     bench.write(0, enable=1)
@@ -204,7 +204,7 @@ def test_blocked_shaft_fails_the_search(bench: Bench) -> None:
 
 @pytest.mark.parametrize("across", [-0.01, 0.01])
 def test_motor_that_moves_without_a_count_has_lost_its_encoder(bench: Bench, across: float) -> None:
-    """What drives a current across the turning vector, so that the controller needs a voltage there, is a rotor."""
+    """A voltage across the rotating vector at constant current is the back-EMF of a moving rotor."""
     bench.current_across[0] = across
     assert give_up(bench) < 1.2
     assert bench.view(0).faults == FAULTS.ENCODER_LOST
@@ -213,8 +213,8 @@ def test_motor_that_moves_without_a_count_has_lost_its_encoder(bench: Bench, acr
     bench.to_spin(0)
 
 
-def test_search_looks_at_voltages_without_the_error_of_dead_time(bench: Bench) -> None:
-    """Whatever the host has switched off for comparison; afterwards its choice is in force again."""
+def test_search_compensates_dead_time_in_spite_of_the_host(bench: Bench) -> None:
+    """The search enables the compensation if the host has disabled it, and restores the setting afterwards."""
     bench.write_raw("param.features", [0, 0])
     bench.to_stop()
     bench.write(0, enable=1)
@@ -227,7 +227,7 @@ def test_search_looks_at_voltages_without_the_error_of_dead_time(bench: Bench) -
 
 
 def test_unplugged_motor_fails_the_search_at_once(bench: Bench) -> None:
-    """No current, no verdict about the shaft or the encoder: the remedy names the motor cable."""
+    """Without current the search does not blame shaft or encoder; the remedy names the motor cable."""
     bench.motor_plugged[0] = False
     assert give_up(bench) < 0.05
     assert bench.view(0).faults == FAULTS.ROTOR_SEARCH
@@ -236,7 +236,7 @@ def test_unplugged_motor_fails_the_search_at_once(bench: Bench) -> None:
     bench.to_spin(0)
 
 
-def test_search_with_a_shaft_turned_from_outside_ends_in_a_fault(bench: Bench) -> None:
+def test_search_with_an_externally_rotated_shaft_ends_in_a_fault(bench: Bench) -> None:
     bench.to_stop()
     bench.shaft_is_free[0] = False
     bench.write(0, enable=1)
@@ -264,7 +264,7 @@ def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench
     assert bench.view(0).state == STATE.RUN
 
 
-def test_fault_of_one_axis_leaves_the_other_alone(bench: Bench) -> None:
+def test_fault_of_one_axis_does_not_affect_the_other(bench: Bench) -> None:
     bench.to_spin(0, 1)
     over_current(bench)
     bench.slow(50)
@@ -272,7 +272,7 @@ def test_fault_of_one_axis_leaves_the_other_alone(bench: Bench) -> None:
     assert (bench.view(1).state, bench.view(1).substate, bench.view(1).faults) == (STATE.RUN, SUBSTATE.SPIN, 0)
 
 
-def test_bus_faults_stop_both(bench: Bench) -> None:
+def test_bus_faults_stop_both_axes(bench: Bench) -> None:
     bench.to_spin(0, 1)
     over_voltage(bench)
     bench.slow(10)
@@ -290,14 +290,14 @@ def test_a_bus_voltage_outside_its_limits_is_a_fault(bench: Bench, volts: float,
 
 
 def test_captured_fault_always_reaches_the_state_machine(bench: Bench) -> None:
-    """Even if the flag that announces it were lost to an interrupt."""
+    """Also if its flag is lost by an interrupt."""
     bench.to_spin(0)
     bench.axis(0).latch.captured = FAULTS.OVER_CURRENT
     bench.slow()
     assert bench.view(0).state == STATE.FAULT
 
 
-# ---- the host falls silent ----------------------------------------------------------------------------------------
+# ---- host time-out ------------------------------------------------------------------------------------------------
 
 
 def test_board_without_a_host_is_not_supervised(bench: Bench) -> None:
@@ -306,7 +306,7 @@ def test_board_without_a_host_is_not_supervised(bench: Bench) -> None:
     assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
-def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
+def test_host_time_out_stops_both_axes_before_the_fault(bench: Bench) -> None:
     bench.keep_alive()
     bench.set_parameter("host_timeout", 0.1)
     bench.to_stop()
@@ -323,7 +323,7 @@ def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
     bench.slow(13)
     assert bench.view(0).substate == SUBSTATE.SPIN, "the shaft is ramped down before the fault"
     assert bench.hal.axis[0].outputs_on
-    assert (bench.view(1).state, bench.view(1).faults) == (STATE.FAULT, FAULTS.HOST_SILENT), "this one stood still"
+    assert (bench.view(1).state, bench.view(1).faults) == (STATE.FAULT, FAULTS.HOST_SILENT), "this axis was at rest"
     bench.turn(0, 0.0)
     bench.until(lambda: bench.view(0).state == STATE.FAULT, 1200)
     assert bench.view(0).faults == FAULTS.HOST_SILENT
@@ -349,7 +349,7 @@ def test_returning_host_must_clear_and_enable(bench: Bench) -> None:
     assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
-def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -> None:
+def test_enable_during_the_ramp_down_of_a_host_time_out_is_ignored(bench: Bench) -> None:
     bench.keep_alive()
     bench.to_spin(0)
     bench.turn_without_current(0, 100.0)
@@ -362,8 +362,8 @@ def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -
     bench.until(lambda: bench.view(0).state == STATE.FAULT, 1200)
 
 
-def test_client_that_only_reads_is_no_host(bench: Bench) -> None:
-    """It goes on reading after the commander has gone."""
+def test_client_that_only_reads_does_not_reset_the_host_time_out(bench: Bench) -> None:
+    """A client continues to read after the commanding host has stopped."""
     bench.keep_alive()
     bench.set_parameter("host_timeout", 0.1)
     bench.to_stop()
@@ -379,7 +379,7 @@ def test_client_that_only_reads_is_no_host(bench: Bench) -> None:
     assert bench.view(0).faults == FAULTS.HOST_SILENT
 
 
-def test_silence_of_set_points_is_no_silence_of_the_host(bench: Bench) -> None:
+def test_missing_set_points_do_not_cause_a_host_time_out(bench: Bench) -> None:
     bench.to_spin(0)
     for _ in range(100):
         bench.keep_alive()

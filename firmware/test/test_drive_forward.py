@@ -21,7 +21,7 @@ def lag(log: list[tuple[int, int]]) -> list[int]:
 
 
 @pytest.mark.parametrize("limit", [100.0, 314.0])
-def test_shaft_does_not_trail_with_the_speed_fed_forward(bench: Bench, limit: float) -> None:
+def test_no_lag_with_speed_feed_forward(bench: Bench, limit: float) -> None:
     """Without it the lag is v / K_v (E44): 1061 counts at 100 rad/s, 3332 at 314."""
     bench.set_parameter("speed_limit", limit)
     bench.write(0, position=200_000)
@@ -47,8 +47,8 @@ def test_move_with_feed_forward_ends_on_target_without_overshoot(bench: Bench) -
     assert abs(log[-1][1] - 20_000) <= 1
 
 
-def test_switching_in_motion_waits_for_rest(bench: Bench) -> None:
-    """The whole speed added at once would be a shock; the next move has it."""
+def test_switching_speed_feed_forward_in_motion_waits_for_rest(bench: Bench) -> None:
+    """Adding the speed in motion would be a step; the feature applies to the next move."""
     bench.set_parameter("speed_limit", 100.0)
     bench.write(0, position=20_000)
     before = [rad_s(bench.view(0).speed_ref) for _ in range(200) if bench.follow(1)]
@@ -61,7 +61,7 @@ def test_switching_in_motion_waits_for_rest(bench: Bench) -> None:
     assert max(abs(x) for x in lag(bench.follow(400))) <= 40
 
 
-def test_position_mode_taken_over_in_motion_is_smooth_with_the_speed_fed_forward(bench: Bench) -> None:
+def test_change_to_position_mode_in_motion_is_bumpless_with_speed_feed_forward(bench: Bench) -> None:
     bench.switch_on(0, FEATURES.SPEED_FORWARD)
     bench.slow()
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
@@ -76,19 +76,19 @@ def test_position_mode_taken_over_in_motion_is_smooth_with_the_speed_fed_forward
 
 
 def currents(core: Core, features: int, ticks: int, **commands: int) -> tuple[Bench, list[float]]:
-    """Current set-points [A] of an axis whose shaft obeys its speed: whatever the current, the same motion."""
+    """Current set-points [A] of an axis whose shaft follows the speed set-point, independent of the current."""
     bench = Bench(core)
     bench.to_spin(0)
     bench.slow(2)
     bench.switch_on(0, features)
     if "position" in commands:
-        bench.set_parameter("acceleration_limit", 50_000.0)  # the filter of the path is the slower one
+        bench.set_parameter("acceleration_limit", 50_000.0)  # the path filter is slower
     bench.slow()
     bench.write(0, **commands)
     return bench, [bench.view(0).i_q_ref / amps(1.0) for _ in range(ticks) if bench.follow(1)]
 
 
-def test_speed_ramp_is_met_by_the_current_it_needs(bench: Bench) -> None:
+def test_speed_ramp_feeds_its_current_forward(bench: Bench) -> None:
     """J a / Kt in the first tick, before there is any error."""
     bench.set_parameter("acceleration_limit", 2000.0)
     bench.switch_on(0, FEATURES.ACCELERATION_FORWARD)
@@ -101,26 +101,26 @@ def test_speed_ramp_is_met_by_the_current_it_needs(bench: Bench) -> None:
 
 
 def test_path_acceleration_is_fed_forward_with_the_speed(core: Core) -> None:
-    """What is added, summed up, is what J needs to reach the speed of the path."""
+    """The integral of the added current is the momentum J w of the path speed."""
     bench, with_it = currents(core, FEATURES.SPEED_FORWARD | FEATURES.ACCELERATION_FORWARD, 40, position=100_000)
     _, without = currents(core, FEATURES.SPEED_FORWARD, 40, position=100_000)
     gained = [a - b for a, b in zip(with_it, without, strict=True)]
     reached = rad_s(bench.axis(0).motion.shaped_speed)
     assert reached > 100.0
     assert sum(gained) * TICK * K_T / INERTIA == pytest.approx(reached, rel=0.01)
-    # E40 asks for up to half of the 4 A limit while accelerating (servo.toml: path_current_use).
+    # E40 needs up to half of the 4 A limit while accelerating (servo.toml: path_current_use).
     assert max(gained) == pytest.approx(2.0, rel=0.03)
 
 
-def test_path_acceleration_waits_for_the_speed_to_be_fed_forward(core: Core) -> None:
-    """A shaft that trails its path accelerates later: current ahead of it would be wrong."""
+def test_path_acceleration_needs_speed_feed_forward(core: Core) -> None:
+    """Without speed feed-forward the shaft lags and accelerates later than the path."""
     _, with_it = currents(core, FEATURES.ACCELERATION_FORWARD, 60, position=10_000)
     _, without = currents(core, 0, 60, position=10_000)
     assert with_it == without
 
 
-def test_no_acceleration_is_seen_in_a_change_of_mode(bench: Bench) -> None:
-    """The shaped speed starts from the shaft's own: the change itself needs no current."""
+def test_change_of_mode_feeds_no_acceleration_forward(bench: Bench) -> None:
+    """The shaped speed starts from the speed of the shaft, so the change itself needs no current."""
     bench.switch_on(0, FEATURES.ACCELERATION_FORWARD)
     bench.slow()
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
@@ -135,7 +135,7 @@ def test_no_acceleration_is_seen_in_a_change_of_mode(bench: Bench) -> None:
 
 
 def test_friction_current_follows_the_set_point_not_the_shaft(bench: Bench) -> None:
-    """Turned by hand against a set-point of zero, the shaft gets no push from it."""
+    """A shaft rotated by hand at a set-point of zero gets no friction current."""
     bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(5)
     bench.turn(0, 0.5)

@@ -1,4 +1,4 @@
-"""A shaft is set in motion, or speeded up, by a command that has just been written, and by nothing else."""
+"""Only a newly written command starts or accelerates a shaft."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def speed_of(bench: Bench) -> float:
 
 
 def held_by_soft_limit(bench: Bench) -> None:
-    """Asked for 50 rad/s and held at a limit 10 rad ahead."""
+    """Commanded to 50 rad/s and held at a soft limit 10 rad ahead."""
     bench.switch_on(0, FEATURES.POSITION_LIMITS)
     bench.set_parameter("position_max", 10.0)
     bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
@@ -42,7 +42,9 @@ def held_by_soft_limit(bench: Bench) -> None:
         pytest.param(lambda bench: bench.write_raw("param.features", [REFERENCE_FEATURES] * 2), id="feature"),
     ],
 )
-def test_shaft_held_by_a_soft_limit_stays_when_the_limit_goes(bench: Bench, widen: Callable[[Bench], None]) -> None:
+def test_shaft_held_by_a_soft_limit_stays_when_the_limit_is_removed(
+    bench: Bench, widen: Callable[[Bench], None]
+) -> None:
     held_by_soft_limit(bench)
     before = bench.view(0).position
     widen(bench)
@@ -53,7 +55,7 @@ def test_shaft_held_by_a_soft_limit_stays_when_the_limit_goes(bench: Bench, wide
     assert speed_of(bench) == pytest.approx(50.0, rel=1e-3)
 
 
-def test_speed_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench) -> None:
+def test_speed_reduced_by_a_limit_is_restored_by_a_set_point(bench: Bench) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.follow(200)
     bench.set_parameter("speed_limit", 20.0)
@@ -67,7 +69,7 @@ def test_speed_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench) 
     assert speed_of(bench) == pytest.approx(100.0, rel=1e-3)
 
 
-def test_position_move_goes_on_at_the_speed_limit_that_it_has_begun_with(bench: Bench) -> None:
+def test_position_move_keeps_the_speed_limit_of_its_start(bench: Bench) -> None:
     bench.set_parameter("speed_limit", 50.0)
     bench.write(0, mode=MODE.POSITION, position=1_000_000)
     bench.follow(1000)
@@ -79,7 +81,7 @@ def test_position_move_goes_on_at_the_speed_limit_that_it_has_begun_with(bench: 
     assert speed_of(bench) == pytest.approx(300.0, rel=1e-2)
 
 
-def test_current_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench) -> None:
+def test_current_reduced_by_a_limit_is_restored_by_a_set_point(bench: Bench) -> None:
     bench.write(0, mode=MODE.TORQUE, i_q=amps(2.0))
     bench.slow(2)
     bench.set_parameter("i_q_limit", 0.5)
@@ -93,7 +95,7 @@ def test_current_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench
     assert bench.view(0).i_q_ref == pytest.approx(amps(2.0), abs=1)
 
 
-def test_ramp_goes_on_at_the_acceleration_that_it_has_begun_with(bench: Bench) -> None:
+def test_ramp_keeps_the_acceleration_of_its_start(bench: Bench) -> None:
     bench.set_parameter("acceleration_limit", 100.0)
     bench.write(0, mode=MODE.SPEED, speed=speed(300.0))
     bench.follow(200)
@@ -106,7 +108,7 @@ def test_ramp_goes_on_at_the_acceleration_that_it_has_begun_with(bench: Bench) -
     assert speed_of(bench) == pytest.approx(300.0, rel=1e-3)
 
 
-def test_enable_takes_the_limits_as_they_stand(bench: Bench) -> None:
+def test_enable_applies_the_present_limits(bench: Bench) -> None:
     bench.set_parameter("speed_limit", 20.0)
     bench.follow(10)
     bench.write(0, enable=0)
@@ -133,7 +135,7 @@ def test_set_points_expire_half_a_second_after_reset(core: Core) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_speed_set_point_that_is_not_renewed_ends_in_a_stop_and_a_hold(expiring: Bench, sign: int) -> None:
+def test_expired_speed_set_point_causes_a_stop_and_a_hold(expiring: Bench, sign: int) -> None:
     bench = expiring
     bench.write(0, mode=MODE.SPEED, speed=speed(sign * 100.0))
     bench.follow(199)
@@ -154,7 +156,7 @@ def test_speed_set_point_that_is_not_renewed_ends_in_a_stop_and_a_hold(expiring:
     assert not bench.view(0).limits & LIMITS.EXPIRED
 
 
-def test_torque_set_point_that_is_not_renewed_ends_in_a_stop(expiring: Bench) -> None:
+def test_expired_torque_set_point_causes_a_stop(expiring: Bench) -> None:
     bench = expiring
     bench.turn(0, 100.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(1.0))
@@ -168,7 +170,7 @@ def test_torque_set_point_that_is_not_renewed_ends_in_a_stop(expiring: Bench) ->
 @pytest.mark.parametrize(
     ("mode", "name", "value"), [(MODE.SPEED, "speed", speed(50.0)), (MODE.TORQUE, "i_q", amps(0.5))]
 )
-def test_set_point_that_is_written_again_goes_on(expiring: Bench, mode: int, name: str, value: int) -> None:
+def test_renewed_set_point_stays_active(expiring: Bench, mode: int, name: str, value: int) -> None:
     bench = expiring
     bench.write(0, mode=mode)
     for _ in range(20):
@@ -203,7 +205,7 @@ def test_set_point_of_one_axis_does_not_renew_that_of_the_other(expiring: Bench)
     assert not bench.view(1).limits & LIMITS.EXPIRED
 
 
-def test_longer_time_out_does_not_bring_an_expired_set_point_back(expiring: Bench) -> None:
+def test_longer_time_out_does_not_restore_an_expired_set_point(expiring: Bench) -> None:
     bench = expiring
     bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     bench.follow(400)
@@ -213,7 +215,7 @@ def test_longer_time_out_does_not_bring_an_expired_set_point_back(expiring: Benc
         assert speed_of(bench) < 0.1
 
 
-def test_positions_and_standing_axes_do_not_expire(expiring: Bench) -> None:
+def test_positions_and_axes_at_rest_do_not_expire(expiring: Bench) -> None:
     bench = expiring
     bench.write(0, mode=MODE.POSITION, position=4000)
     bench.follow(2000)
@@ -231,7 +233,7 @@ def test_expired_torque_set_point_ends_in_a_reported_hold(expiring: Bench) -> No
     assert bench.view(0).limits & LIMITS.EXPIRED
 
 
-def test_time_out_of_zero_keeps_a_set_point_for_ever(bench: Bench) -> None:
+def test_time_out_of_zero_disables_the_expiry(bench: Bench) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     bench.follow(70_000)  # more than 16 bits of slow ticks
     assert speed_of(bench) == pytest.approx(50.0, rel=1e-3)

@@ -1,4 +1,4 @@
-"""What the axes watch beside their motion: temperature, converters, loops, the watchdog; and the record of a fault."""
+"""Monitors of the axes besides motion: temperature, converters, loops, watchdog; and the record of a fault."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def code_of(fault: int) -> int:
 
 
 # ---- temperature
-def test_heat_stops_its_axis_and_no_other(bench: Bench) -> None:
+def test_over_temperature_stops_its_axis_only(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].temperature_code = HOT
     bench.slow(18)
@@ -32,7 +32,7 @@ def test_heat_stops_its_axis_and_no_other(bench: Bench) -> None:
     assert place(bench, 1)[1] == 0
 
 
-def test_heat_can_be_cleared_below_the_hysteresis_only(bench: Bench) -> None:
+def test_over_temperature_can_be_cleared_below_the_hysteresis_only(bench: Bench) -> None:
     bench.to_stop()
     bench.hal.axis[0].temperature_code = HOT
     bench.slow(20)
@@ -71,7 +71,7 @@ def test_code_off_its_offset_without_current_is_a_current_sense_fault(bench: Ben
     assert place(bench) == (STATE.FAULT, FAULTS.CURRENT_SENSE)
 
 
-def test_a_converter_is_named_instead_of_the_over_current_that_it_caused(bench: Bench) -> None:
+def test_a_failed_converter_is_reported_instead_of_the_over_current_that_it_caused(bench: Bench) -> None:
     bench.to_spin(0)
     for k in range(300):
         noise(bench, k, "bc")
@@ -107,8 +107,8 @@ def test_voltage_without_current_is_a_lost_phase(bench: Bench) -> None:
 def test_a_current_measurement_is_suspected_after_more_than_one_code(
     core: Core, codes: int, enabled: int, fault: int
 ) -> None:
-    """The last ones before the phase is named are off their offset; each is one of two phases of the three. A
-    converter in doubt hides no fault while CURRENT_SENSE is not enabled."""
+    """The last codes before PHASE_LOST are off their offset; each belongs to one of two sampled phases. A
+    suspected converter suppresses no fault while CURRENT_SENSE is disabled."""
     sound, bench = Bench(core), Bench(core)
     without_current(sound)
     ticks = 0
@@ -146,7 +146,7 @@ def test_one_omitted_loop_is_tolerated_and_more_are_a_fault_of_both_axes(bench: 
         assert place(bench, axis) == (STATE.FAULT, FAULTS.LATE_LOOP)
 
 
-def test_late_loops_are_forgotten(bench: Bench) -> None:
+def test_late_loops_expire(bench: Bench) -> None:
     bench.to_spin(0)
     for _ in range(20):
         bench.hal.late_loops += 1
@@ -172,8 +172,8 @@ def test_a_reset_by_the_watchdog_keeps_the_board_off(core: Core) -> None:
     assert place(bench, 1) == (STATE.FAULT, FAULTS.WATCHDOG)
 
 
-def test_an_edge_from_before_a_reset_says_nothing_about_the_speed(bench: Bench) -> None:
-    """Memory keeps what was in it when the board starts anew."""
+def test_an_edge_from_before_a_reset_is_not_used_for_the_speed(bench: Bench) -> None:
+    """The memory keeps its content at a restart of the board."""
     bench.turn_without_current(0, 100.0)
     bench.slow(20)
     bench.turn(0, 0.0)
@@ -194,8 +194,8 @@ def test_an_edge_from_before_a_reset_says_nothing_about_the_speed(bench: Bench) 
 
 
 @pytest.mark.parametrize("waits", [False, True])
-def test_the_edge_behind_an_alignment_is_skipped_and_the_one_behind_a_reset_is_not(bench: Bench, waits: bool) -> None:
-    """The edge that waits was captured before; it is not the one that is skipped."""
+def test_the_first_edge_after_an_alignment_is_skipped_and_after_a_reset_is_not(bench: Bench, waits: bool) -> None:
+    """The pending edge was captured before; it is not the skipped one."""
     axis = bench.axis(0)
     encoder, pointer = axis.encoder, bench.core.ffi.addressof(axis)
     encoder.edge_waits, encoder.skip_edge = waits, False
@@ -206,8 +206,8 @@ def test_the_edge_behind_an_alignment_is_skipped_and_the_one_behind_a_reset_is_n
     assert (encoder.edge_waits, encoder.skip_edge) == (False, False)
 
 
-# ---- what may stop an axis
-def test_hardware_faults_cannot_be_switched_off(bench: Bench) -> None:
+# ---- disabled faults
+def test_hardware_faults_cannot_be_disabled(bench: Bench) -> None:
     bench.to_spin(0)
     bench.servo.parameter.faults_enabled = [0, 0]
     bench.slow()
@@ -216,7 +216,7 @@ def test_hardware_faults_cannot_be_switched_off(bench: Bench) -> None:
     assert place(bench) == (STATE.FAULT, FAULTS.OVER_TEMPERATURE)
 
 
-def test_a_fault_that_is_switched_off_stops_nothing(bench: Bench) -> None:
+def test_a_disabled_fault_stops_nothing(bench: Bench) -> None:
     bench.to_spin(0)
     bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~(FAULTS.CURRENT_SENSE | FAULTS.PHASE_LOST)
     bench.slow()
@@ -226,7 +226,7 @@ def test_a_fault_that_is_switched_off_stops_nothing(bench: Bench) -> None:
 
 
 # ---- the record
-def test_the_record_ends_with_the_fault_and_stands_until_it_is_cleared(bench: Bench) -> None:
+def test_the_record_ends_with_the_fault_and_is_kept_until_it_is_cleared(bench: Bench) -> None:
     bench.to_spin(0)
     bench.slow(100)
     for k in range(30):
@@ -251,7 +251,7 @@ def test_the_record_ends_with_the_fault_and_stands_until_it_is_cleared(bench: Be
     assert {round(x / 8) for x in record.u_dc} == {2800}
 
 
-def test_the_first_fault_stays_the_first(bench: Bench) -> None:
+def test_the_first_fault_is_not_replaced(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].over_current = True
     bench.slow()

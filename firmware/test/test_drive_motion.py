@@ -1,4 +1,4 @@
-"""From commands to i_q*: fresh writes, modes, ramps, limits (DRM 2.5..2.7)."""
+"""From commands to i_q*: new writes, modes, ramps, limits (DRM 2.5..2.7)."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def test_set_point_from_before_spin_does_not_move_the_axis(core: Core, name: str
     bench.write(0, **{name: value})
     bench.slow(20)
     view = bench.view(0)
-    assert (view.i_q_ref, view.speed_ref) != (0, 0), "written again, it counts"
+    assert (view.i_q_ref, view.speed_ref) != (0, 0), "accepted when written again"
 
 
-def test_nothing_of_the_motion_before_a_fault_is_left(bench: Bench) -> None:
-    """Neither the ramp nor the integral part of the speed controller."""
+def test_motion_state_is_reset_after_a_fault(bench: Bench) -> None:
+    """The ramp and the integral part of the speed controller are reset."""
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
-    bench.slow(200)  # the shaft does not obey: the integral fills
+    bench.slow(200)  # the shaft does not move: the integrator winds up
     assert bench.view(0).i_q_ref > amps(3.0)
     bench.hal.axis[0].over_current = True
     bench.slow(2)
@@ -49,10 +49,10 @@ def test_nothing_of_the_motion_before_a_fault_is_left(bench: Bench) -> None:
         bench.slow()
 
 
-def test_write_of_the_other_axis_is_no_fresh_write(core: Core) -> None:
+def test_write_of_the_other_axis_is_no_new_command(core: Core) -> None:
     bench = Bench(core)
     bench.to_spin(0, 1)
-    bench.servo.command.position[0] = 4000  # stands in memory
+    bench.servo.command.position[0] = 4000  # in memory, without a write
     bench.write(1, position=2000)
     bench.slow(50)
     assert bench.view(0).position_ref == bench.view(0).position
@@ -85,7 +85,7 @@ def test_position_move_ends_on_target_without_overshoot(bench: Bench, target: in
 
 
 def test_position_lag_is_that_of_a_proportional_controller(bench: Bench) -> None:
-    """E44: at constant speed the shaft trails by speed / K_v (60 1/s), no more."""
+    """E44: at constant speed the lag is speed / K_v (60 1/s)."""
     bench.set_parameter("speed_limit", 100.0)
     bench.write(0, position=100_000)
     log = bench.follow(600)
@@ -93,7 +93,7 @@ def test_position_lag_is_that_of_a_proportional_controller(bench: Bench) -> None
     assert (reference - position) * 2 * 3.14159265 / 4000 == pytest.approx(100.0 / 60.0, rel=0.03)
 
 
-def test_new_target_on_the_way(bench: Bench) -> None:
+def test_new_target_during_a_move_is_reached_without_a_speed_step(bench: Bench) -> None:
     bench.write(0, position=20_000)
     bench.follow(100)
     bench.write(0, position=-1000)
@@ -116,8 +116,8 @@ def test_speed_limit_parameter_limits_moves(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(("amperes", "limit"), [(4.0, 314.0), (1.0, 314.0), (0.2, 314.0), (2.0, 100.0), (4.0, 419.0)])
-def test_moves_ask_for_half_of_the_current_limit(bench: Bench, amperes: float, limit: float) -> None:
-    """E40 takes at most omega_n v / e; the filter slows down with the limits that the host sets."""
+def test_moves_need_at_most_half_of_the_current_limit(bench: Bench, amperes: float, limit: float) -> None:
+    """E40 accelerates with at most omega_n v / e; the filter is slowed down by the limits of the host."""
     bench.set_parameter("i_q_limit", amperes)
     bench.set_parameter("speed_limit", limit)
     bench.write(0, position=1_000_000)
@@ -132,8 +132,8 @@ def test_moves_ask_for_half_of_the_current_limit(bench: Bench, amperes: float, l
 @pytest.mark.parametrize("quick_stop", [0, 1])
 @pytest.mark.parametrize("acceleration", [4000.0, 100.0])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, acceleration: float, quick_stop: int) -> None:
-    """At the acceleration limit of the set-point."""
+def test_speed_ramps_down_to_a_lowered_limit(bench: Bench, sign: int, acceleration: float, quick_stop: int) -> None:
+    """The speed ramps down at the acceleration limit."""
     bench.write(0, mode=MODE.SPEED, speed=speed(sign * 300.0))
     bench.follow(400)
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(sign * 300.0, rel=1e-3)
@@ -142,7 +142,7 @@ def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, accelera
     bench.follow(1)
     bench.set_parameter("speed_limit", 10.0)
     bench.write(0, quick_stop=quick_stop)
-    bench.follow(1)  # a stop begins at the speed that was measured
+    bench.follow(1)  # a stop begins at the measured speed
     references = [
         sign * rad_s(bench.view(0).speed_ref),
         *bench.trace(round(310.0 / acceleration / TICK), lambda: sign * rad_s(bench.view(0).speed_ref)),
@@ -160,7 +160,7 @@ def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, accelera
 def test_acceleration_limit_bounds_every_position_move(
     bench: Bench, acceleration: float, then: int | str | None
 ) -> None:
-    """Rest to rest, with a reversal or a target close ahead in flight, and with other limits of speed and current."""
+    """Moves from rest to rest, with a reversal or a close target in motion, and with other speed and current limits."""
     bench.set_parameter("acceleration_limit", acceleration)
     bench.write(0, position=40_000)
     path = bench.axis(0).motion.path
@@ -183,13 +183,13 @@ def test_acceleration_limit_bounds_every_position_move(
 
 
 def test_path_is_retuned_to_a_lowered_current_after_the_slow_loop(bench: Bench, core: Core) -> None:
-    """Its divisions have a period without a slow loop; the position and its speed go on."""
+    """The divisions are done in a period without a slow loop; position and speed are continuous."""
     bench.write(0, position=40_000)
     bench.follow(200)
     axis = bench.axis(0)
     omega, path = axis.path_limits.omega_n_ts, axis.motion.path
     bench.set_parameter("i_q_limit", 1.0)
-    bench.slow()  # ends behind the slow loop
+    bench.slow()  # ends after the slow loop
     assert axis.limits.i_q == amps(1.0)
     assert (axis.path_limits.stale, axis.path_limits.omega_n_ts) == (True, omega)
     output, step = path.output, path.filter * omega / 65536
@@ -200,7 +200,7 @@ def test_path_is_retuned_to_a_lowered_current_after_the_slow_loop(bench: Bench, 
     assert path.filter * axis.path_limits.omega_n_ts / 65536 == pytest.approx(step, rel=1e-6)
 
 
-def test_path_is_retuned_whatever_the_axis_does(core: Core) -> None:
+def test_path_of_a_stopped_axis_is_retuned(core: Core) -> None:
     bench = Bench(core)
     bench.to_stop()
     omega = bench.axis(0).path_limits.omega_n_ts
@@ -223,8 +223,8 @@ def test_lowered_speed_limit_slows_a_move_as_gently_as_its_path(bench: Bench, fe
     assert bench.view(0).faults == 0
 
 
-def test_new_limits_under_way_do_not_jump(bench: Bench) -> None:
-    """In the middle of a long move the shaped set-point goes on at its speed, whatever current the host allows."""
+def test_new_limits_in_motion_cause_no_step(bench: Bench) -> None:
+    """In a long move the shaped set-point continues at its speed at any current limit."""
     bench.write(0, position=1_000_000)
     bench.follow(400)
     for amperes in (1.0, 4.0, 0.5, 2.0):
@@ -235,8 +235,8 @@ def test_new_limits_under_way_do_not_jump(bench: Bench) -> None:
         assert max(steps) <= 104  # 100 counts per tick are 314 rad/s
 
 
-def test_position_is_held_against_a_push(bench: Bench) -> None:
-    """The speed loop's integral part brings the current that pushes back."""
+def test_position_is_held_against_a_displacement(bench: Bench) -> None:
+    """Position and speed loop command a current against the displacement."""
     bench.shaft[0].move(40)
     bench.slow(20)
     assert bench.view(0).position == 40
@@ -246,9 +246,9 @@ def test_position_is_held_against_a_push(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("off", [1, -1])
-def test_current_that_pushes_off_the_target_is_taken_back(bench: Bench, off: int) -> None:
-    """Friction holds the shaft a count off its target: the current that keeps it there stays, the other one goes."""
-    held = 40 * 65536  # a friction's worth
+def test_current_that_pushes_away_from_the_target_decays(bench: Bench, off: int) -> None:
+    """Friction holds the shaft one count off its target: current towards the target stays, the opposite one decays."""
+    held = 40 * 65536  # about the friction current
 
     def rest(integral: int) -> int:
         bench.axis(0).motion.speed_pi.integral = integral * 2**24
@@ -278,7 +278,7 @@ def test_speed_is_ramped_at_the_acceleration_limit(bench: Bench) -> None:
     assert references[150] == pytest.approx(151 * 0.5, rel=0.01)
 
 
-def test_speed_set_point_is_limited_and_says_so(bench: Bench) -> None:
+def test_speed_set_point_is_limited_and_flagged(bench: Bench) -> None:
     bench.set_parameter("speed_limit", 100.0)
     bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.slow(200)
@@ -292,31 +292,31 @@ def test_speed_set_point_is_limited_and_says_so(bench: Bench) -> None:
 def test_the_current_set_point_stays_within_its_limit(bench: Bench) -> None:
     bench.set_parameter("i_q_limit", 1.0)
     bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
-    bench.slow(100)  # the shaft does not obey
+    bench.slow(100)  # the shaft does not move
     assert bench.view(0).i_q_ref == pytest.approx(amps(1.0), abs=1)
     assert bench.view(0).limits & LIMITS.CURRENT
 
 
-def test_voltage_limit_says_so(bench: Bench) -> None:
+def test_voltage_limit_is_flagged(bench: Bench) -> None:
     bench.write(0, mode=MODE.TORQUE, i_q=amps(3.0))
-    bench.slow(50)  # no current flows on this bench: the loop asks for all the voltage
+    bench.slow(50)  # no current flows on this bench: the loop commands the full voltage
     assert bench.view(0).limits & LIMITS.VOLTAGE
     assert bench.view(0).faults == 0, "a limit is not a fault"
 
 
 @pytest.mark.parametrize("counts", [3, 20, -20])
-def test_integral_part_sums_the_way_not_an_old_speed(bench: Bench, counts: int) -> None:
-    """The M/T method goes on after the shaft has stopped; what the integral part holds in the end is the way alone."""
+def test_integral_part_sums_counts_and_not_an_old_speed(bench: Bench, counts: int) -> None:
+    """The M/T method reports a speed after the shaft has stopped; the integral part equals the travelled counts."""
     bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(2)
     bench.turn(0, math.copysign(COUNT / TICK, counts))
     bench.slow(abs(counts))
     bench.turn(0, 0.0)
     speeds = []
-    for _ in range(200):  # until the timer of the edges has run out
+    for _ in range(200):  # until the timer of the edges overflows
         bench.slow()
         speeds.append(abs(rad_s(bench.view(0).speed)))
-    assert sum(speeds) > 10.0, "the method under test has to have an old speed"
+    assert sum(speeds) > 10.0, "the M/T method still reports a speed"
     assert speeds[-1] == 0.0
     integral = bench.axis(0).config.speed.ki / 2**24 * speed(counts * COUNT / TICK)
     assert bench.view(0).i_q_ref == pytest.approx(-integral / 2**16, abs=1.0)
@@ -324,25 +324,25 @@ def test_integral_part_sums_the_way_not_an_old_speed(bench: Bench, counts: int) 
 
 @pytest.mark.parametrize("counts", [1, -1, 300, -300, 666, -666, 667, -667, 1900, -1900])
 def test_counted_speed_saturates(bench: Bench, counts: int) -> None:
-    """Counts of one slow tick over those at full speed, 666.67; more than that is full speed."""
+    """Counts of one slow tick relative to 666.67 at full speed; more is full speed."""
     bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.slow()
     bench.shaft[0].move(counts)
     bench.slow()
-    wanted = max(min(speed(counts * COUNT / TICK), 2**31 - 1), -(2**31))
-    assert bench.axis(0).feedback.mean_speed == pytest.approx(wanted, abs=2**31 * 2e-6)
+    expected = max(min(speed(counts * COUNT / TICK), 2**31 - 1), -(2**31))
+    assert bench.axis(0).feedback.mean_speed == pytest.approx(expected, abs=2**31 * 2e-6)
 
 
 # ---- torque ---------------------------------------------------------------------------------------------------------
 
 
-def test_torque_mode_passes_the_current_on(bench: Bench) -> None:
+def test_torque_mode_uses_the_commanded_current(bench: Bench) -> None:
     bench.write(0, mode=MODE.TORQUE, i_q=amps(-1.5))
     bench.slow(2)
     assert bench.view(0).i_q_ref == amps(-1.5)
 
 
-def test_torque_mode_limits_the_current_and_says_so(bench: Bench) -> None:
+def test_torque_mode_limits_the_current_and_flags_it(bench: Bench) -> None:
     bench.set_parameter("i_q_limit", 2.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(3.0))
     bench.slow(2)
@@ -364,10 +364,10 @@ def test_torque_mode_keeps_the_speed_limit(bench: Bench, sign: int) -> None:
     assert not bench.view(0).limits & LIMITS.SPEED
 
 
-# ---- changing over --------------------------------------------------------------------------------------------------
+# ---- change of mode-------------------------------------------------------------------------------------------------
 
 
-def test_mode_alone_brings_the_axis_to_rest(bench: Bench) -> None:
+def test_change_of_mode_without_a_set_point_stops_the_axis(bench: Bench) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(80.0))
     bench.follow(100)
     bench.write(0, mode=MODE.POSITION)
@@ -382,7 +382,7 @@ def test_mode_alone_brings_the_axis_to_rest(bench: Bench) -> None:
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(0.0, abs=0.5)
 
 
-def test_position_takes_over_a_turning_shaft_without_a_jump(bench: Bench) -> None:
+def test_change_to_position_mode_in_motion_is_bumpless(bench: Bench) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.follow(200)
     bench.write(0, mode=MODE.POSITION, position=bench.view(0).position + 20_000)
@@ -392,7 +392,7 @@ def test_position_takes_over_a_turning_shaft_without_a_jump(bench: Bench) -> Non
     assert max(abs(b - a) for a, b in itertools.pairwise(references)) < 8.0
 
 
-def test_speed_takes_over_from_torque_without_a_jump(bench: Bench) -> None:
+def test_change_from_torque_to_speed_mode_is_bumpless(bench: Bench) -> None:
     bench.turn(0, 60.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(1.0))
     bench.slow(20)
@@ -411,7 +411,7 @@ def test_set_point_of_another_mode_is_ignored(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_stop_is_over_when_the_shaft_has_turned_round_between_two_ticks(bench: Bench, sign: int) -> None:
+def test_a_stop_ends_if_the_shaft_reverses_between_two_ticks(bench: Bench, sign: int) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(sign * 60.0))
     bench.follow(100)
     bench.write(0, quick_stop=1)
@@ -423,14 +423,14 @@ def test_a_stop_is_over_when_the_shaft_has_turned_round_between_two_ticks(bench:
     here = bench.view(0).position
     bench.slow(2)
     assert bench.axis(0).motion.motion == bench.core.lib.MOTION_POSITION
-    assert abs(bench.view(0).position_ref - here) <= 20, "it holds where it turned round"
+    assert abs(bench.view(0).position_ref - here) <= 20, "it holds the position of the reversal"
 
 
-# ---- where the counts wrap ------------------------------------------------------------------------------------------
+# ---- wrap of the counts ---------------------------------------------------------------------------------------------
 
 
 def move_counters(bench: Bench, counts: int) -> None:
-    """Let axis 1, in speed mode, have come a long way."""
+    """Set the counters of axis 1, in speed mode, to a large position."""
     bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(2)
     axis = bench.axis(0)
@@ -447,7 +447,7 @@ def move_counters(bench: Bench, counts: int) -> None:
 
 @pytest.mark.parametrize("features", [0, FEATURES.SPEED_FORWARD | FEATURES.FOLLOWING_ERROR])
 @pytest.mark.parametrize("direction", [1, -1])
-def test_hold_at_the_wrap_is_a_hold(bench: Bench, features: int, direction: int) -> None:
+def test_position_is_held_at_the_wrap(bench: Bench, features: int, direction: int) -> None:
     bench.switch_on(0, features)
     move_counters(bench, direction * (2**31 - 1) - bench.view(0).position)
     bench.write(0, quick_stop=1)
@@ -457,14 +457,14 @@ def test_hold_at_the_wrap_is_a_hold(bench: Bench, features: int, direction: int)
     for _ in range(20):
         bench.slow()
         behind = rad_s(bench.view(0).speed_ref) * -direction
-        assert 0.0 <= behind <= 0.2 * 20.0, "as anywhere else"
+        assert 0.0 <= behind <= 0.2 * 20.0, "as at any other position"
     assert bench.view(0).position * before < 0, "it has wrapped"
     assert bench.view(0).faults == 0
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_position_mode_begins_smoothly_before_the_wrap(bench: Bench, direction: int) -> None:
-    """What the shaft trails its set-point by reaches over the wrap."""
+    """The lag extends across the wrap."""
     move_counters(bench, direction * (2**31 - 2000) - bench.view(0).position)
     bench.write(0, speed=speed(direction * 100.0))
     bench.follow(80)

@@ -35,7 +35,7 @@ def configure_pins(bench: Bench, *pins: int, axis: int = 0) -> Any:
 
 
 def spin(bench: Bench) -> None:
-    """Axis 1 to SPIN, and where there is a brake until it is open; the rotor need not be searched."""
+    """Enable axis 1 without a rotor search, until SPIN and an open brake."""
     bench.to_stop()
     bench.axis(0).aligned = True
     bench.write(0, enable=1)
@@ -44,7 +44,7 @@ def spin(bench: Bench) -> None:
 
 
 def begin_opening(bench: Bench) -> None:
-    """Enable axis 1, whose angle is known, until the coil of its brake has current."""
+    """Enable axis 1, with a known rotor angle, until its brake coil is energised."""
     configure_pins(bench, INPUTS.BRAKE_OPEN)
     bench.to_stop()
     bench.axis(0).aligned = True
@@ -53,13 +53,13 @@ def begin_opening(bench: Bench) -> None:
 
 
 class TestSwitches:
-    def test_what_is_not_fitted_is_not_read(self, bench: Bench) -> None:
+    def test_inputs_not_configured_are_not_read(self, bench: Bench) -> None:
         bench.hal.axis[0].inputs = INPUTS.HOME | INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.to_spin(0)
         assert (bench.view(0).inputs, bench.view(0).limits, bench.view(0).faults) == (0, 0, 0)
         assert not bench.hal.axis[0].enable_used
 
-    def test_a_level_counts_from_its_second_tick(self, bench: Bench) -> None:
+    def test_a_level_is_accepted_in_its_second_tick(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.HOME)
         bench.hal.axis[0].inputs = INPUTS.HOME
         bench.slow()
@@ -71,11 +71,11 @@ class TestSwitches:
         assert bench.view(0).inputs == INPUTS.HOME
         assert bench.view(1).inputs == 0
 
-    @pytest.mark.parametrize(("switch", "way"), [(INPUTS.LIMIT_MAX, 1), (INPUTS.LIMIT_MIN, -1)])
-    def test_a_switch_in_the_way_stops_the_motion_with_a_ramp(self, bench: Bench, switch: int, way: int) -> None:
+    @pytest.mark.parametrize(("switch", "direction"), [(INPUTS.LIMIT_MAX, 1), (INPUTS.LIMIT_MIN, -1)])
+    def test_a_limit_switch_ahead_stops_the_motion_with_a_ramp(self, bench: Bench, switch: int, direction: int) -> None:
         configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         spin(bench)
-        bench.write(0, mode=MODE.SPEED, speed=speed(100.0 * way))
+        bench.write(0, mode=MODE.SPEED, speed=speed(100.0 * direction))
         bench.follow(200)
         bench.hal.axis[0].inputs = switch
         log = bench.follow(3)
@@ -88,20 +88,20 @@ class TestSwitches:
         assert len(log) == 3
 
     @pytest.mark.parametrize("mode", [MODE.POSITION, MODE.SPEED, MODE.TORQUE])
-    def test_only_the_way_off_a_switch_is_free(self, bench: Bench, mode: int) -> None:
+    def test_only_motion_away_from_an_active_switch_is_permitted(self, bench: Bench, mode: int) -> None:
         configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX
         spin(bench)
         assert (bench.view(0).faults, bench.view(0).limits) == (0, LIMITS.INPUT)
         start = bench.view(0).position
 
-        def push(way: int) -> Any:
+        def push(direction: int) -> Any:
             if mode == MODE.POSITION:
-                bench.write(0, mode=mode, position=start + way * 400)
+                bench.write(0, mode=mode, position=start + direction * 400)
             elif mode == MODE.SPEED:
-                bench.write(0, mode=mode, speed=speed(20.0 * way))
+                bench.write(0, mode=mode, speed=speed(20.0 * direction))
             else:
-                bench.write(0, mode=mode, i_q=amps(0.5 * way))
+                bench.write(0, mode=mode, i_q=amps(0.5 * direction))
             bench.slow(40)
             return bench.view(0).i_q_ref if mode == MODE.TORQUE else bench.view(0).speed_ref
 
@@ -115,12 +115,12 @@ class TestSwitches:
         spin(bench)
         bench.write(0, mode=MODE.SPEED, speed=speed(-30.0))
         bench.follow(50)
-        for inputs in (0, INPUTS.LIMIT_MAX, 0):  # on the way off it
+        for inputs in (0, INPUTS.LIMIT_MAX, 0):  # moving away from the switch
             bench.hal.axis[0].inputs = inputs
             bench.follow(5)
         assert bench.view(0).faults == 0
         bench.follow(150)
-        bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX  # which cannot be reached this way
+        bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX  # not reachable in this direction
         bench.follow(4)
         assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
 
@@ -133,14 +133,14 @@ class TestSwitches:
         bench.slow(20)
         assert (bench.view(0).state, bench.view(0).limits) == (STATE.STOP, LIMITS.INPUT)
 
-    def test_both_at_once_stop_a_shaft_that_rests(self, bench: Bench) -> None:
+    def test_both_limit_switches_at_once_are_a_fault_at_rest(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         spin(bench)
         bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.slow(4)
         assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
 
-    def test_a_fault_that_is_switched_off_still_is_a_limit(self, bench: Bench) -> None:
+    def test_a_limit_switch_with_a_disabled_fault_still_stops_the_motion(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         bench.servo.parameter.faults_enabled[0] &= ~FAULTS.LIMIT_SWITCH
         spin(bench)
@@ -153,7 +153,7 @@ class TestSwitches:
 
 
 class TestEnableInput:
-    def test_open_at_rest_it_refuses_without_a_fault(self, bench: Bench) -> None:
+    def test_open_input_at_rest_refuses_an_enable_without_a_fault(self, bench: Bench) -> None:
         bench.hal.axis[0].inputs = 0
         configure_pins(bench, INPUTS.ENABLE)
         bench.to_stop()
@@ -161,16 +161,16 @@ class TestEnableInput:
         bench.slow(20)
         assert bench.states()[0][:1] == (STATE.STOP,)
         assert (bench.view(0).faults, bench.view(0).limits) == (0, LIMITS.INPUT)
-        assert bench.hal.axis[0].enable_used  # armed anew, so that a closed input counts
+        assert bench.hal.axis[0].enable_used  # enabled again, so that a closed input is effective
 
         bench.hal.axis[0].inputs = INPUTS.ENABLE
         bench.slow(4)
-        assert (bench.view(0).state, bench.view(0).limits) == (STATE.STOP, 0)  # and nothing enables itself
+        assert (bench.view(0).state, bench.view(0).limits) == (STATE.STOP, 0)  # and no automatic enable
         bench.write(0, enable=1)
         bench.slow(2)
         assert bench.view(0).state == STATE.RUN
 
-    def test_opened_in_run_it_is_a_fault_within_a_tick(self, bench: Bench) -> None:
+    def test_input_opened_in_run_is_a_fault_within_a_tick(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.ENABLE)
         spin(bench)
         bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
@@ -184,9 +184,9 @@ class TestEnableInput:
         bench.turn(0, 0.0)
         bench.clear(0)
         bench.to_stop()
-        assert bench.view(0).faults == 0  # at rest an open input is none
+        assert bench.view(0).faults == 0  # an open input at rest is no fault
 
-    def test_this_fault_cannot_be_switched_off(self, bench: Bench) -> None:
+    def test_fault_of_the_enable_input_cannot_be_disabled(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.ENABLE)
         bench.servo.parameter.faults_enabled[0] = 0
         spin(bench)
@@ -196,7 +196,7 @@ class TestEnableInput:
 
 
 class TestHoldingBrake:
-    def test_closed_until_the_position_is_controlled(self, bench: Bench) -> None:
+    def test_brake_is_closed_until_the_position_is_controlled(self, bench: Bench) -> None:
         begin_opening(bench)
         assert (bench.axis(0).sm.state, bench.axis(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
         assert bench.hal.axis[0].outputs_on
@@ -205,7 +205,7 @@ class TestHoldingBrake:
         bench.slow(OPEN + 2)
         assert bench.view(0).inputs == INPUTS.BRAKE_OPEN
 
-    def test_set_points_wait_for_it(self, bench: Bench) -> None:
+    def test_set_points_wait_for_the_brake(self, bench: Bench) -> None:
         begin_opening(bench)
         start = bench.view(0).position
         bench.write(0, mode=MODE.POSITION, position=start + 4000)
@@ -216,7 +216,9 @@ class TestHoldingBrake:
         assert bench.view(0).position_ref > start
 
     @pytest.mark.parametrize("again", [{"enable": 1}, {"quick_stop": 0}], ids=str)
-    def test_set_points_wait_whatever_is_repeated_meanwhile(self, bench: Bench, again: dict[str, int]) -> None:
+    def test_set_points_wait_for_the_brake_in_spite_of_repeated_commands(
+        self, bench: Bench, again: dict[str, int]
+    ) -> None:
         begin_opening(bench)
         start = bench.view(0).position
         bench.write(0, mode=MODE.POSITION, position=start + 4000)
@@ -229,7 +231,7 @@ class TestHoldingBrake:
         assert bench.view(0).position_ref > start
 
     @pytest.mark.parametrize("stop", ["enable", "quick_stop", "fault"])
-    def test_a_set_point_that_waits_does_not_outlive_a_stop(self, bench: Bench, stop: str) -> None:
+    def test_a_stop_discards_a_waiting_set_point(self, bench: Bench, stop: str) -> None:
         begin_opening(bench)
         start = bench.view(0).position
         bench.write(0, mode=MODE.POSITION, position=start + 4000)
@@ -251,7 +253,7 @@ class TestHoldingBrake:
         assert (bench.view(0).inputs, bench.view(0).position_ref) == (INPUTS.BRAKE_OPEN, start)
 
     @pytest.mark.parametrize("category", [STOP_CATEGORY.RAMP, STOP_CATEGORY.HOLD])
-    def test_a_stop_ends_in_holding_until_it_is_closed(self, bench: Bench, category: int) -> None:
+    def test_position_is_held_after_a_stop_until_the_brake_is_closed(self, bench: Bench, category: int) -> None:
         config = configure_pins(bench, INPUTS.BRAKE_OPEN)
         config.stop.hold_ticks = 50
         bench.servo.parameter.on_disable[0] = category
@@ -283,7 +285,7 @@ class TestHoldingBrake:
         bench.slow(OPEN + 5)
         assert (bench.view(0).substate, bench.view(0).inputs) == (SUBSTATE.SPIN, INPUTS.BRAKE_OPEN)
 
-    def test_outputs_that_go_off_at_once_close_it_at_once(self, bench: Bench) -> None:
+    def test_brake_closes_at_once_when_the_outputs_go_off_at_once(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.hal.bus_code = bus_code(36.0)
@@ -302,7 +304,7 @@ class TestHoldingBrake:
         bench.to_stop()
         bench.write(0, enable=1)
         bench.to_substate(0, SUBSTATE.ALIGN)
-        assert not bench.hal.axis[0].holding_released  # the current comes first
+        assert not bench.hal.axis[0].holding_released  # the current is ramped up first
         search, limit = bench.axis(0).search, bench.axis(0).config.rotor_search.current_limit << 16
         bench.motor_plugged[0] = False
         while not bench.hal.axis[0].holding_released:
@@ -310,7 +312,7 @@ class TestHoldingBrake:
             bench.slow()
             assert search.current == limit or not bench.hal.axis[0].holding_released
 
-    def test_the_load_is_taken_over_without_a_jump(self, bench: Bench) -> None:
+    def test_the_load_current_is_adopted_without_a_step(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.BRAKE_OPEN)
         bench.to_stop()
         bench.axis(0).aligned, bench.axis(0).brake.load = True, amps(0.8)
@@ -319,7 +321,7 @@ class TestHoldingBrake:
         bench.slow()
         assert abs(bench.view(0).i_q_ref - amps(0.8)) < amps(0.02)
 
-    def test_none_is_always_open(self, bench: Bench) -> None:
+    def test_an_axis_without_a_brake_does_not_wait(self, bench: Bench) -> None:
         bench.to_spin(0)
         assert not bench.hal.axis[0].holding_released
         bench.write(0, mode=MODE.POSITION, position=bench.view(0).position + 4000)

@@ -50,7 +50,7 @@ def test_after_a_quick_stop_set_points_wait_for_a_new_enable(bench: Bench) -> No
     assert (bench.view(0).speed_ref, bench.view(0).i_q_ref) == (0, 0)
     bench.write(0, enable=1)
     bench.slow(50)
-    assert (bench.view(0).speed_ref, bench.view(0).i_q_ref) == (0, 0), "what was written before does not count"
+    assert (bench.view(0).speed_ref, bench.view(0).i_q_ref) == (0, 0), "earlier set-points are ignored"
     assert bench.servo.command.quick_stop[0] == 0
     bench.write(0, speed=speed(50.0))
     bench.slow(50)
@@ -58,7 +58,7 @@ def test_after_a_quick_stop_set_points_wait_for_a_new_enable(bench: Bench) -> No
 
 
 @pytest.mark.parametrize("order", [("enable", "quick_stop"), ("quick_stop", "enable")])
-def test_quick_stop_wins_over_an_enable_of_the_same_tick(bench: Bench, order: tuple[str, str]) -> None:
+def test_quick_stop_has_precedence_over_an_enable_of_the_same_tick(bench: Bench, order: tuple[str, str]) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(80.0))
     bench.follow(100)
     for name in order:
@@ -67,7 +67,7 @@ def test_quick_stop_wins_over_an_enable_of_the_same_tick(bench: Bench, order: tu
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(0.0, abs=0.5)
 
 
-def test_quick_stop_command_of_the_protocol_stops_both(core: Core) -> None:
+def test_quick_stop_command_of_the_protocol_stops_both_axes(core: Core) -> None:
     bench = Bench(core)
     bench.to_spin(0, 1)
     for axis in range(2):

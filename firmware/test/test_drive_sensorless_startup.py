@@ -1,4 +1,4 @@
-"""An axis without an encoder on the fake board: when it starts, when it waits, and what it says when it cannot."""
+"""A sensorless axis on the fake board: start, waiting, and report of an impossible start."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def substate(b: Bench) -> tuple[int, int]:
     return b.view(0).state, b.view(0).substate
 
 
-def test_source_changes_only_outside_run(bench: Bench) -> None:
+def test_feedback_changes_only_outside_run(bench: Bench) -> None:
     assert bench.axis(0).sensorless
     assert not bench.axis(1).sensorless
     to_ready(bench)
@@ -44,7 +44,7 @@ def test_source_changes_only_outside_run(bench: Bench) -> None:
     assert not bench.axis(0).sensorless
 
 
-def test_motor_that_cannot_be_observed_keeps_its_encoder(core: Core) -> None:
+def test_motor_unsuitable_for_the_observer_keeps_its_encoder(core: Core) -> None:
     b = Bench(core)
     config = core.ffi.new("axis_config_t *", b.axis(0).config[0])
     config.observer.drive = 0
@@ -55,8 +55,8 @@ def test_motor_that_cannot_be_observed_keeps_its_encoder(core: Core) -> None:
     assert not b.axis(0).sensorless
 
 
-def test_waits_with_its_outputs_off(bench: Bench) -> None:
-    """READY of an encoder axis shorts the windings; a shaft without an encoder may turn."""
+def test_sensorless_axis_waits_with_its_outputs_off(bench: Bench) -> None:
+    """READY of an axis with an encoder shorts the windings; a sensorless shaft may rotate freely."""
     to_ready(bench)
     bench.slow(200)
     assert substate(bench) == (STATE.RUN, SUBSTATE.READY)
@@ -86,7 +86,7 @@ def test_set_point_below_the_minimum_is_flagged(bench: Bench) -> None:
     assert bench.view(0).limits & LIMITS.SENSORLESS == 0
 
 
-def test_set_point_from_before_the_enable_does_not_count(bench: Bench) -> None:
+def test_set_point_from_before_the_enable_is_ignored(bench: Bench) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.slow(5)
     to_ready(bench)
@@ -95,8 +95,8 @@ def test_set_point_from_before_the_enable_does_not_count(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_ramps_of_the_slide(bench: Bench, direction: int) -> None:
-    """No back-EMF: after the catch the vector turns the way that is wanted, current and speed on their ramps."""
+def test_start_up_ramps_are_those_of_the_slide(bench: Bench, direction: int) -> None:
+    """Without back-EMF: after CATCH the vector rotates in the commanded direction; current and speed ramp up."""
     config = bench.axis(0).config.startup
     to_ready(bench)
     bench.write(0, speed=speed(direction * 100.0))
@@ -118,8 +118,8 @@ def test_ramps_of_the_slide(bench: Bench, direction: int) -> None:
     assert bench.view(0).position != 0
 
 
-def test_failure_has_a_name(bench: Bench) -> None:
-    """Nothing answers: after START_UP_DURATION the outputs go off, and the drive is not asked for any more."""
+def test_failed_start_up_is_a_fault(bench: Bench) -> None:
+    """Without back-EMF the outputs go off after START_UP_DURATION, and the enable is withdrawn."""
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
     bench.to_substate(0, SUBSTATE.STARTUP, 3)
@@ -135,7 +135,7 @@ def test_failure_has_a_name(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("command", [{"enable": 0}, {"speed": 0}, {"mode": MODE.POSITION}, {"quick_stop": 1}])
-def test_start_up_is_given_up_when_it_is_not_wanted(bench: Bench, command: dict[str, int]) -> None:
+def test_start_up_ends_when_the_command_is_withdrawn(bench: Bench, command: dict[str, int]) -> None:
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
     bench.to_substate(0, SUBSTATE.STARTUP, 3)
@@ -148,7 +148,7 @@ def test_start_up_is_given_up_when_it_is_not_wanted(bench: Bench, command: dict[
     assert SUBSTATE.FREEWHEEL != SUBSTATE.READY
 
 
-def test_soft_limit_forbids_the_start(bench: Bench) -> None:
+def test_soft_limit_prevents_the_start_towards_it(bench: Bench) -> None:
     bench.write_raw("param.position_max", [0, 0])
     bench.switch_on(0, 1 << 7)
     to_ready(bench)
@@ -159,7 +159,7 @@ def test_soft_limit_forbids_the_start(bench: Bench) -> None:
     bench.to_substate(0, SUBSTATE.STARTUP, 3)
 
 
-def test_both_axes_at_once(core: Core) -> None:
+def test_both_axes_start_at_once(core: Core) -> None:
     b = Bench(core)
     b.write_raw("param.feedback", [OBSERVER, OBSERVER])
     b.to_stop()
@@ -175,7 +175,7 @@ def test_both_axes_at_once(core: Core) -> None:
 
 
 def test_missing_back_emf_in_spin_is_detected(bench: Bench) -> None:
-    """Put into SPIN by hand: no back-EMF answers, and the speed is not accepted."""
+    """Forced into SPIN without a back-EMF: the observed speed is not accepted."""
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
     bench.to_substate(0, SUBSTATE.STARTUP, 3)

@@ -1,4 +1,4 @@
-"""Soft limits of the position: nothing passes them, nothing is moved by them."""
+"""Soft limits of the position: no motion beyond them, and no motion caused by them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_move_ends_at_the_limit(bench: Bench, target: int, limit: int) -> None:
 
 
 def test_move_inside_the_limits_is_not_affected(core: Core) -> None:
-    """Up to the limit itself, a move takes the same way tick by tick."""
+    """A move to a target within the limits is identical in every tick."""
     logs = []
     for on in (False, True):
         bench = Bench(core)
@@ -53,7 +53,7 @@ def test_move_inside_the_limits_is_not_affected(core: Core) -> None:
 def test_speed_falls_towards_the_limit(bench: Bench, rad_per_s: float, acceleration: float) -> None:
     bench.set_parameter("acceleration_limit", acceleration)
     confine(bench, -60_000, 60_000)
-    bench.servo.parameter.faults_enabled = [0, 0]  # voltage without current is one
+    bench.servo.parameter.faults_enabled = [0, 0]  # voltage without current is a fault
     bench.write(0, mode=MODE.SPEED, speed=speed(rad_per_s))
     positions, speeds = [], []
     for _ in range(3500):
@@ -62,10 +62,10 @@ def test_speed_falls_towards_the_limit(bench: Bench, rad_per_s: float, accelerat
         positions.append(bench.view(0).position)
         speeds.append(rad_s(bench.view(0).speed_ref))
     assert max(abs(p) for p in positions) <= 60_000 + 1
-    assert abs(positions[-1]) >= 60_000 - 12, "it comes close"
-    assert max(abs(v) for v in speeds) == pytest.approx(abs(rad_per_s), rel=1e-3), "and may be fast before"
+    assert abs(positions[-1]) >= 60_000 - 12, "it stops close to the limit"
+    assert max(abs(v) for v in speeds) == pytest.approx(abs(rad_per_s), rel=1e-3), "full speed far from the limit"
     braking = max((abs(a) - abs(b)) / TICK for a, b in itertools.pairwise(speeds))
-    assert braking <= 0.55 * 0.0462 * 4.0 / 0.8e-5, "no faster than half the current can brake"
+    assert braking <= 0.55 * 0.0462 * 4.0 / 0.8e-5, "braking with at most half of the current"
     assert braking <= acceleration * 1.001
     assert bench.view(0).limits & LIMITS.POSITION
 
@@ -81,11 +81,11 @@ def test_motion_away_from_a_limit_is_not_restricted(bench: Bench) -> None:
 
 
 def test_torque_ends_at_the_limit(bench: Bench) -> None:
-    """At the limit the current pushes back against the speed that is left, and does not press."""
+    """At the limit the current brakes the remaining speed and does not push against the limit."""
     confine(bench, -2000, 2000)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(1.0))
     bench.slow(3)
-    assert bench.view(0).i_q_ref == amps(1.0), "free inside"
+    assert bench.view(0).i_q_ref == amps(1.0), "no limitation inside"
     bench.turn(0, 50.0)
     bench.until(lambda: bench.view(0).position > 1990, 200)
     bench.turn(0, 5.0)
@@ -95,17 +95,17 @@ def test_torque_ends_at_the_limit(bench: Bench) -> None:
     assert not bench.view(0).limits & LIMITS.SPEED
     bench.turn(0, 0.0)
     bench.slow(2000)
-    assert bench.view(0).i_q_ref < 0, "what pushed it out may still be there"
+    assert bench.view(0).i_q_ref < 0, "the holding current stays, as the load may persist"
     bench.turn(0, -5.0)
     bench.slow(100)
     bench.turn(0, 0.0)
     bench.slow(500)
-    assert bench.axis(0).motion.limit_hold_current == 0, "given back"
+    assert bench.axis(0).motion.limit_hold_current == 0, "released"
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_torque_holds_against_a_load_at_the_limit(bench: Bench, sign: int) -> None:
-    """As the integral part of the speed controller: ki per count past the limit, given back on the way in."""
+    """Like the integral part of the speed controller: ki per count beyond the limit, released on the way back."""
     confine(bench, -2000, 2000)
     bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.turn(0, sign * 50.0)
@@ -125,12 +125,12 @@ def test_torque_holds_against_a_load_at_the_limit(bench: Bench, sign: int) -> No
     assert sign * bench.view(0).i_q_ref == pytest.approx(sign * rest - per_count * pushed, abs=2.0)
     bench.turn(0, -sign * 50.0)
     bench.slow(40)
-    assert bench.view(0).i_q_ref == 0, "inside the torque is what was asked for"
+    assert bench.view(0).i_q_ref == 0, "inside the limits the commanded torque applies"
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_torque_against_a_load_stays_within_the_current_limit(bench: Bench, sign: int) -> None:
-    """However long it pushes; and it is not wound up farther than that."""
+    """The holding current saturates at the current limit, without wind-up."""
     bench.set_parameter("i_q_limit", 1.0)
     confine(bench, -2000, 2000)
     bench.write(0, mode=MODE.TORQUE, i_q=0)
@@ -142,7 +142,7 @@ def test_torque_against_a_load_stays_within_the_current_limit(bench: Bench, sign
     assert back >= 1
 
 
-def test_torque_mode_begins_without_what_an_earlier_load_has_left(bench: Bench) -> None:
+def test_torque_mode_begins_without_the_holding_current_of_an_earlier_load(bench: Bench) -> None:
     confine(bench, -2000, 2000)
     bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.turn(0, 30.0)
@@ -159,7 +159,7 @@ def test_torque_mode_begins_without_what_an_earlier_load_has_left(bench: Bench) 
 
 @pytest.mark.parametrize(("low", "high"), [(100, 5000), (-5000, -100), (100, -100), (-100, -200)])
 def test_limits_behind_the_shaft_do_not_move_it(bench: Bench, low: int, high: int) -> None:
-    """Nothing moves before it is commanded, also when the limits contradict each other."""
+    """No motion without a command, also with contradictory limits."""
     confine(bench, low, high)
     for _ in range(200):
         bench.slow()
@@ -167,7 +167,7 @@ def test_limits_behind_the_shaft_do_not_move_it(bench: Bench, low: int, high: in
 
 
 @pytest.mark.parametrize("mode", [MODE.POSITION, MODE.SPEED])
-def test_outside_only_the_way_in_is_open(bench: Bench, mode: int) -> None:
+def test_outside_the_limits_only_inward_motion_is_permitted(bench: Bench, mode: int) -> None:
     confine(bench, 1000, 5000)
     outwards = {"position": -3000} if mode == MODE.POSITION else {"speed": speed(-20.0)}
     bench.write(0, mode=mode, **outwards)
@@ -180,8 +180,8 @@ def test_outside_only_the_way_in_is_open(bench: Bench, mode: int) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_outside_no_target_beyond_the_wrap_opens_the_way_out(bench: Bench, sign: int) -> None:
-    """The limit that such a target is beyond lies the other way."""
+def test_outside_the_limits_a_target_across_the_wrap_causes_no_motion(bench: Bench, sign: int) -> None:
+    """Across the wrap the target is beyond the opposite limit."""
     move_counters(bench, sign * 2_100_000_000)
     confine(bench, -900_000_000, 900_000_000)
     bench.slow(2)
@@ -193,7 +193,7 @@ def test_outside_no_target_beyond_the_wrap_opens_the_way_out(bench: Bench, sign:
     assert abs(bench.view(0).position - before) <= 1
 
 
-def test_limits_drawn_together_under_way_stop_the_move(bench: Bench) -> None:
+def test_limits_narrowed_in_motion_stop_the_move(bench: Bench) -> None:
     bench.write(0, position=200_000)
     bench.follow(200)
     here = bench.view(0).position
@@ -205,8 +205,8 @@ def test_limits_drawn_together_under_way_stop_the_move(bench: Bench) -> None:
 
 @pytest.mark.parametrize("ahead", [None, 3000])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_passed_limit_stops_where_the_shaft_can(bench: Bench, sign: int, ahead: int | None) -> None:
-    """A limit set behind a moving shaft, or too close ahead: it stops within the limits, and is not pulled back."""
+def test_passed_limit_stops_the_shaft_by_its_ramp(bench: Bench, sign: int, ahead: int | None) -> None:
+    """A limit set behind a moving shaft or too close ahead: the shaft stops by its ramp and is not pulled back."""
     bench.write(0, position=sign * 200_000)
     bench.follow(400)
     assert abs(bench.axis(0).motion.path.speed) / 2**24 == pytest.approx(100.0, rel=1e-2)  # 314 rad/s
@@ -221,8 +221,8 @@ def test_passed_limit_stops_where_the_shaft_can(bench: Bench, sign: int, ahead: 
     assert bench.view(0).limits & LIMITS.POSITION
 
 
-def test_stop_before_the_limit_is_a_stop_before_the_limit(bench: Bench) -> None:
-    """A gentle ramp does not carry a stopping shaft over its limit."""
+def test_stop_before_the_limit_ends_before_the_limit(bench: Bench) -> None:
+    """A low acceleration limit does not move a stopping shaft beyond its soft limit."""
     bench.set_parameter("acceleration_limit", 1000.0)
     confine(bench, -1_000_000, 60_000)
     bench.write(0, mode=MODE.SPEED, speed=speed(314.0))
@@ -235,10 +235,12 @@ def test_stop_before_the_limit_is_a_stop_before_the_limit(bench: Bench) -> None:
 @pytest.mark.parametrize("beyond", [0, 100_000])
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("before", [1000, 5000, 10_000, 14_000])
-def test_position_mode_takes_over_before_the_limit(bench: Bench, before: int, sign: int, beyond: int) -> None:
-    """On its way in speed mode the shaft is told a target at its limit: it brakes at once, and passes by 0.3 rad.
+def test_change_to_position_mode_before_the_limit_passes_it_by_at_most_0_3_rad(
+    bench: Bench, before: int, sign: int, beyond: int
+) -> None:
+    """Change from speed to position mode with a target at the limit: braking starts at once, overshoot <= 0.3 rad.
 
-    That far its lag v / Kv reaches beyond the way that the linear part of the approach has left.
+    That is the difference of the lag v / Kv and the remaining distance of the linear part of the approach.
     """
     confine(bench, -100_000, 100_000)
     bench.write(0, mode=MODE.SPEED, speed=speed(sign * 314.0))
@@ -258,8 +260,8 @@ def test_position_mode_takes_over_before_the_limit(bench: Bench, before: int, si
 
 @pytest.mark.parametrize("quick_stop", [0, 1])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_limit_moved_onto_a_turning_shaft_is_ramped_down_to(bench: Bench, sign: int, quick_stop: int) -> None:
-    """It passes the limit: the speed set-point has no step."""
+def test_limit_moved_behind_a_rotating_shaft_causes_a_ramp(bench: Bench, sign: int, quick_stop: int) -> None:
+    """The limit is moved behind the shaft: the speed set-point has no step."""
     bench.write(0, mode=MODE.SPEED, speed=speed(sign * 200.0))
     bench.follow(300)
     here = bench.view(0).position
@@ -283,10 +285,10 @@ def test_limit_moved_onto_a_turning_shaft_is_ramped_down_to(bench: Bench, sign: 
     maximum=st.floats(0.1, 419.0),
     acceleration=st.floats(0.0, math.log(50_000.0)).map(math.exp),
 )
-def test_allowed_speeds_over_every_limit(
+def test_allowed_speed_over_the_distance_to_a_limit(
     core: Core, low: int, high: int, here: int | None, near: float, omega: int, maximum: float, acceleration: float
 ) -> None:
-    """v <= (omega_n / e) distance up to the tangent of a parabola of half the acceleration limit.
+    """v <= (omega_n / e) distance, up to the tangent of the parabola of half the acceleration limit.
 
     Within 1e-3 of it, never beyond the speed limit, never towards a passed limit.
     """

@@ -86,7 +86,7 @@ def test_without_flags_only_the_state_function_runs(core: Core, state: int) -> N
 
 
 @pytest.mark.parametrize("state", [STATE.FAULT, STATE.INIT, STATE.STOP, STATE.RUN])
-def test_the_state_function_gets_the_loop_that_calls(core: Core, state: int) -> None:
+def test_the_state_function_gets_the_calling_loop(core: Core, state: int) -> None:
     machine = Machine(core, state)
     for loop in range(6):
         machine.step(loop)
@@ -121,8 +121,8 @@ def test_stop_waits_for_its_acknowledge(core: Core) -> None:
 @pytest.mark.parametrize(
     ("state", "transition"), [(STATE.INIT, "init_fault"), (STATE.STOP, "stop_fault"), (STATE.RUN, "run_fault")]
 )
-def test_fault_from_every_state(core: Core, state: int, transition: str) -> None:
-    """A fault from before: the state's function does not run any more, it could switch something on."""
+def test_a_pending_fault_leads_every_state_to_fault(core: Core, state: int, transition: str) -> None:
+    """A pending fault: the state function is not called, as it could switch the outputs on."""
     machine = Machine(core, state, "FAULT")
     assert machine.step() == ([transition], STATE.FAULT)
     assert machine.step() == (["fault"], STATE.FAULT)
@@ -138,7 +138,7 @@ def test_fault_from_within_a_state_function(core: Core, state: int, transition: 
 
 
 @pytest.mark.parametrize("state", [STATE.INIT, STATE.STOP, STATE.RUN])
-def test_fault_goes_before_everything_and_forgets_requests(core: Core, state: int) -> None:
+def test_fault_has_precedence_and_discards_requests(core: Core, state: int) -> None:
     machine = Machine(core, state, *(set(FLAGS) - {"NONE"}))
     assert machine.step()[1] == STATE.FAULT
     assert machine.sm.ctrl == 0
@@ -148,7 +148,7 @@ def test_fault_goes_before_everything_and_forgets_requests(core: Core, state: in
 def test_clear_leads_through_init(core: Core) -> None:
     machine = Machine(core, STATE.FAULT, "FAULT_CLEAR", "START", "INIT_DONE")
     assert machine.step() == (["fault", "fault_init"], STATE.INIT)
-    assert machine.sm.ctrl == 0, "nothing that was asked for before a fault may come after it"
+    assert machine.sm.ctrl == 0, "requests from before a fault are discarded"
     assert machine.step() == (["init"], STATE.INIT)
 
 

@@ -1,4 +1,4 @@
-"""States, sub-states and transitions of one axis as DRM 4.5 lists them (F36, F37)."""
+"""States, sub-states and transitions of one axis of DRM 4.5 (F36, F37)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def bench(core: Core) -> Bench:
 
 
 def at_rest(bench: Bench, axis: int) -> bool:
-    """Everything electrical is zero and every phase at 50 %."""
+    """Currents and voltages are zero and every duty is 50 %."""
     a = bench.axis(axis)
     loop = a.current_loop
     zeros = (loop.current.d, loop.current.q, loop.voltage.d, loop.voltage.q, a.current_ref.d, a.current_ref.q)
@@ -37,7 +37,7 @@ def test_reset_leads_through_init_to_stop_with_the_outputs_off(bench: Bench) -> 
 
 
 def test_init_lasts_until_the_bus_filter_has_settled(bench: Bench) -> None:
-    """Else the rising filter would be taken for under-voltage."""
+    """Otherwise the rising filter would be an under-voltage fault."""
     ticks = bench.until(lambda: bench.view(0).state == STATE.STOP, 100)
     assert ticks == bench.core.lib.probe_config().axis[0].settle_ticks
     assert bench.axis(0).u_dc == pytest.approx(CODE_24V << 3, rel=1e-3)
@@ -78,8 +78,8 @@ def test_calib_measures_offsets_with_the_outputs_off(bench: Bench) -> None:
     assert offsets == pytest.approx([2040, 2051, 2060], abs=0.5)
 
 
-def test_calib_uses_only_samples_of_the_pair_it_asked_for(bench: Bench) -> None:
-    """The first samples after Stop -> Run and after the change of pair are already true."""
+def test_calib_uses_only_samples_of_the_selected_pair(bench: Bench) -> None:
+    """The first samples after Stop -> Run and after the change of the pair are valid."""
     bench.to_stop()
     for phase, code in enumerate((2000, 2050, 2100)):
         bench.hal.axis[1].current_code[phase] = code
@@ -98,8 +98,8 @@ def test_ready_shorts_the_windings(bench: Bench) -> None:
 
 
 def test_align_pulls_brakes_and_rests(bench: Bench) -> None:
-    """A growing current vector, the same reversed and taken back, then 50 % while the shaft comes to rest; in the end a
-    vector that the shaft follows."""
+    """A rising current vector, its reversal and decay, then 50 % until the shaft is at rest; finally a
+    rotating vector that the shaft follows."""
     bench.to_stop()
     bench.write(0, enable=1)
     bench.to_substate(0, SUBSTATE.ALIGN)
@@ -121,7 +121,7 @@ def test_align_pulls_brakes_and_rests(bench: Bench) -> None:
     assert bench.axis(0).substate == SUBSTATE.SPIN
 
 
-def test_align_presets_the_counter_to_the_angle_found(bench: Bench) -> None:
+def test_align_presets_the_counter_to_the_found_angle(bench: Bench) -> None:
     bench.to_stop()
     bench.write(0, enable=1)
     bench.to_substate(0, SUBSTATE.SPIN)
@@ -129,11 +129,11 @@ def test_align_presets_the_counter_to_the_angle_found(bench: Bench) -> None:
     rotor = (bench._rotor[0] + bench.shaft[0].shaft * 2 / 4000) * 65536
     error = (bench.view(0).theta_e - rotor + 32768) % 65536 - 32768
     assert abs(error) / 65536 * 360 < 2.0
-    assert bench.view(0).position == 0, "positions count from where the rotor was first found (E41)"
+    assert bench.view(0).position == 0, "the position is zero at the angle of the first search (E41)"
 
 
 def test_preset_of_the_counter_is_no_movement(bench: Bench) -> None:
-    """A capture from before the preset and one from after it have no difference in common."""
+    """The difference of captures before and after the preset is not a movement."""
     bench.to_stop()
     bench.write(0, enable=1)
     bench.to_substate(0, SUBSTATE.ALIGN)
@@ -144,14 +144,14 @@ def test_preset_of_the_counter_is_no_movement(bench: Bench) -> None:
         hal.edge.count, hal.edge.time, hal.edge_waits = hal.count, (hal.edge.time + 391) & 0xFFFF, True
         bench.slow()
     old = bench.shaft[0].raw
-    assert hal.count != old, "the preset was a jump"
-    for count in (old, hal.count, hal.count):  # the first was latched just before the preset
+    assert hal.count != old, "the preset changes the counter"
+    for count in (old, hal.count, hal.count):  # the first edge was latched just before the preset
         hal.edge.count, hal.edge.time, hal.edge_waits = count, (hal.edge.time + 391) & 0xFFFF, True
         bench.slow()
         assert bench.view(0).speed == 0
 
 
-def test_spin_begins_by_holding_where_the_shaft_is(bench: Bench) -> None:
+def test_spin_begins_by_holding_the_present_position(bench: Bench) -> None:
     bench.to_spin(0)
     bench.slow(20)
     view = bench.view(0)
@@ -171,9 +171,9 @@ def test_disable_before_spin_stops_at_once(bench: Bench, substate: int) -> None:
 
 
 def test_stop_from_spin_goes_through_freewheel_and_ready(bench: Bench) -> None:
-    """Run -> Stop: from SPIN never directly; FREEWHEEL with open switches until the rotor is still."""
+    """Run -> Stop is never directly from SPIN; FREEWHEEL with open switches until the rotor is at rest."""
     bench.to_spin(0)
-    bench.turn(0, 60.0)  # something keeps the shaft going
+    bench.turn(0, 60.0)  # an external torque keeps the shaft moving
     bench.slow(10)
     bench.write(0, enable=0)
     bench.to_substate(0, SUBSTATE.FREEWHEEL)
@@ -209,7 +209,7 @@ def test_stop_ramps_down_first(bench: Bench) -> None:
     assert len(references) == pytest.approx(100.0 / 4000.0 / 0.5e-3, abs=15)
 
 
-def test_stop_of_a_shaft_that_will_not_slow_down_ends_all_the_same(bench: Bench) -> None:
+def test_stop_of_a_shaft_that_does_not_slow_down_ends_after_its_time(bench: Bench) -> None:
     bench.to_spin(0)
     bench.turn_without_current(0, 100.0)
     bench.slow(50)
@@ -217,7 +217,7 @@ def test_stop_of_a_shaft_that_will_not_slow_down_ends_all_the_same(bench: Bench)
     bench.to_substate(0, SUBSTATE.FREEWHEEL, 1100)
 
 
-def test_enable_during_freewheel_searches_the_rotor_again_once_it_is_still(bench: Bench) -> None:
+def test_enable_during_freewheel_searches_the_rotor_again_at_rest(bench: Bench) -> None:
     bench.to_spin(0)
     bench.turn(0, 30.0)
     bench.write(0, enable=0)
@@ -245,7 +245,7 @@ def test_enable_during_the_ramp_down_keeps_spinning(bench: Bench) -> None:
 
 
 def test_position_survives_a_new_alignment(bench: Bench) -> None:
-    """Turns and zero stay; only the counter is preset anew."""
+    """Revolutions and zero are kept; only the counter is preset again."""
     bench.to_spin(0)
     bench.turn_without_current(0, 200.0)
     bench.slow(300)
@@ -282,7 +282,7 @@ def test_axes_run_independently(bench: Bench) -> None:
         (SUBSTATE.FREEWHEEL, True, True),
     ],
 )
-def test_what_every_sub_state_samples(bench: Bench, substate: int, sampled: bool, tracked: bool) -> None:
+def test_samples_of_every_sub_state(bench: Bench, substate: int, sampled: bool, tracked: bool) -> None:
     """DRM 4.5: currents in all sub-states, the bus always, offsets in READY (before it ends) and later."""
     bench.to_stop()
     bench.write(0, enable=1)
@@ -309,10 +309,10 @@ def test_what_every_sub_state_samples(bench: Bench, substate: int, sampled: bool
 
 
 def test_offsets_are_followed_only_while_the_high_side_is_long_enough(bench: Bench) -> None:
-    """At full modulation the phase with the shortest high side keeps the offset it has."""
+    """At full modulation the phase with the shortest high side keeps its offset."""
     bench.to_spin(0)
     bench.write(0, mode=MODE.TORQUE, i_q=3000)
-    bench.slow(30)  # no current flows on this bench: the loop asks for all the voltage
+    bench.slow(30)  # no current flows on this bench: the loop commands the full voltage
     duty = list(bench.hal.axis[0].duty)
     sense = bench.axis(0).sense
     assert [sense.duty.a, sense.duty.b, sense.duty.c] == duty

@@ -1,4 +1,4 @@
-"""How an axis comes to rest: the categories, on commands and on faults, and what makes them give way."""
+"""Stops of an axis: the categories, on commands and on faults, and their escalation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def turning(bench: Bench) -> Bench:
 
 
 def configure(bench: Bench, **masks: int) -> Any:
-    """Other answers to faults, for axis 1."""
+    """Change the stop categories of faults of axis 1."""
     config = bench.core.ffi.new("axis_config_t *", bench.axis(0).config[0])
     for name, value in masks.items():
         setattr(config.stop, name, value)
@@ -88,7 +88,7 @@ def test_short_keeps_all_low_sides_on_until_the_shaft_rests(turning: Bench, comm
 
 
 @pytest.mark.parametrize(("part", "shorted"), [(0.97, True), (1.03, False), (-0.97, True), (-1.03, False)])
-def test_a_short_is_refused_where_its_current_would_be_too_large(bench: Bench, part: float, shorted: bool) -> None:
+def test_a_short_is_refused_if_its_current_would_be_too_large(bench: Bench, part: float, shorted: bool) -> None:
     """K_e w / sqrt(R^2 + w^2 L^2) against 8.25 A; the next harsher category is to coast."""
     bench.to_spin(0)
     bench.turn_without_current(0, part * REFUSED)
@@ -98,7 +98,7 @@ def test_a_short_is_refused_where_its_current_would_be_too_large(bench: Bench, p
     assert outputs(bench)[0] == shorted
 
 
-def test_too_much_current_ends_the_short(turning: Bench) -> None:
+def test_excessive_current_ends_the_short(turning: Bench) -> None:
     withdraw(turning, STOP_CATEGORY.SHORT)
     turning.hal.axis[0].current_code[0] = 4095
     turning.hal.axis[0].current_code[1] = 0
@@ -107,7 +107,7 @@ def test_too_much_current_ends_the_short(turning: Bench) -> None:
     assert place(turning) == (STATE.RUN, SUBSTATE.FREEWHEEL)
 
 
-def test_hold_without_a_drive_ends_after_its_time(turning: Bench) -> None:
+def test_hold_after_a_disable_ends_after_its_time(turning: Bench) -> None:
     withdraw(turning, STOP_CATEGORY.HOLD)
     turning.follow(60)
     turning.turn(0, 0.0)
@@ -116,7 +116,7 @@ def test_hold_without_a_drive_ends_after_its_time(turning: Bench) -> None:
     assert held == pytest.approx(2000, abs=60)
 
 
-def test_quick_stop_holds_as_long_as_the_drive_is_wanted(turning: Bench) -> None:
+def test_quick_stop_holds_as_long_as_the_drive_is_enabled(turning: Bench) -> None:
     withdraw(turning, STOP_CATEGORY.HOLD, "quick_stop")
     turning.follow(60)
     turning.turn(0, 0.0)
@@ -125,15 +125,15 @@ def test_quick_stop_holds_as_long_as_the_drive_is_wanted(turning: Bench) -> None
     assert turning.hal.axis[0].outputs_on
 
 
-def test_a_stop_that_does_not_come_to_rest_ends_all_the_same(turning: Bench) -> None:
-    """Whatever keeps it turning: 5 s, also where the bus holds the braking back."""
+def test_a_stop_without_standstill_ends_after_its_time(turning: Bench) -> None:
+    """The stop ends after 5 s, also if the bus voltage limits the braking current."""
     turning.hal.bus_code = bus_code(32.5)
     withdraw(turning, STOP_CATEGORY.RAMP)
     ticks = turning.until(lambda: place(turning)[1] == SUBSTATE.FREEWHEEL, 11_000)
     assert ticks == pytest.approx(10_000, abs=3)
 
 
-def test_switched_on_again_while_the_windings_are_shorted(turning: Bench) -> None:
+def test_an_enable_during_a_winding_short_waits_for_standstill(turning: Bench) -> None:
     withdraw(turning, STOP_CATEGORY.SHORT)
     turning.write(0, enable=1)
     turning.slow(10)
@@ -146,7 +146,7 @@ def test_switched_on_again_while_the_windings_are_shorted(turning: Bench) -> Non
 
 
 def fail(bench: Bench, *findings: str) -> None:
-    """Findings, FOLLOWING_ERROR if nothing else is said: that is a following error."""
+    """Raise findings; FOLLOWING_ERROR by default."""
     lib = bench.core.lib
     found = sum(1 << int(getattr(lib, f"FINDING_{name}")) for name in findings or ("FOLLOWING_ERROR",))
     lib.axis_raise(bench.core.ffi.addressof(bench.axis(0)), found)
@@ -161,7 +161,7 @@ def test_faults_coast_at_once_by_default(turning: Bench) -> None:
 
 
 @pytest.mark.parametrize("category", ["ramp", "hold", "shorted"])
-def test_a_fault_is_shown_at_once_and_ends_in_fault_after_the_stop(turning: Bench, category: str) -> None:
+def test_a_fault_is_reported_at_once_and_enters_fault_after_the_stop(turning: Bench, category: str) -> None:
     config = configure(turning, **{category: FAULTS.FOLLOWING_ERROR})
     fail(turning)
     assert turning.view(0).faults == FAULTS.FOLLOWING_ERROR
@@ -169,7 +169,7 @@ def test_a_fault_is_shown_at_once_and_ends_in_fault_after_the_stop(turning: Benc
     assert turning.hal.axis[0].outputs_on
     turning.write(0, enable=1, clear_faults=1)
     turning.slow(5)
-    assert turning.view(0).faults == FAULTS.FOLLOWING_ERROR, "nothing clears a fault before the stop is over"
+    assert turning.view(0).faults == FAULTS.FOLLOWING_ERROR, "a fault cannot be cleared before the end of the stop"
     if category != "shorted":
         turning.follow(60)
     turning.turn(0, 0.0)
@@ -183,7 +183,7 @@ def test_a_fault_is_shown_at_once_and_ends_in_fault_after_the_stop(turning: Benc
     assert turning.view(0).state == STATE.STOP
 
 
-def test_a_worse_fault_does_not_wait(turning: Bench) -> None:
+def test_a_more_severe_fault_ends_the_ramp_at_once(turning: Bench) -> None:
     configure(turning, ramp=FAULTS.FOLLOWING_ERROR)
     fail(turning)
     assert place(turning) == (STATE.RUN, SUBSTATE.SPIN)
@@ -194,20 +194,20 @@ def test_a_worse_fault_does_not_wait(turning: Bench) -> None:
     assert not turning.hal.axis[0].outputs_on
 
 
-def test_two_faults_at_once_take_the_harsher_way(turning: Bench) -> None:
+def test_the_harsher_stop_of_two_simultaneous_faults_applies(turning: Bench) -> None:
     configure(turning, ramp=FAULTS.FOLLOWING_ERROR)
     fail(turning, "FOLLOWING_ERROR", "OVER_VOLTAGE")
     assert turning.view(0).state == STATE.FAULT
 
 
-def test_a_fault_before_the_shaft_is_under_control_does_not_ramp(bench: Bench) -> None:
+def test_a_fault_outside_of_spin_does_not_ramp(bench: Bench) -> None:
     configure(bench, ramp=FAULTS.FOLLOWING_ERROR)
     bench.to_stop()
     fail(bench)
     assert bench.view(0).state == STATE.FAULT
 
 
-def test_a_fault_during_a_stop_makes_it_harsher(turning: Bench) -> None:
+def test_a_fault_during_a_stop_changes_to_its_harsher_category(turning: Bench) -> None:
     configure(turning, shorted=FAULTS.FOLLOWING_ERROR)
     withdraw(turning, STOP_CATEGORY.RAMP)
     fail(turning)
@@ -220,7 +220,7 @@ def test_a_fault_during_a_stop_makes_it_harsher(turning: Bench) -> None:
 
 
 def q_limits(bench: Bench) -> tuple[float, float]:
-    """What the speed controller may ask for against the motion and with it, over the limit."""
+    """Available current against the motion and with it, relative to the limit."""
     found = []
     for target in (0.0, 200.0):
         bench.write(0, speed=speed(target))
@@ -238,15 +238,15 @@ def test_braking_current_is_folded_back_by_the_bus(turning: Bench, volts: float,
     assert along == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_slow_shaft_is_braked_whatever_the_bus_says(turning: Bench) -> None:
-    """Below 71 rad/s the full current burns what it takes out."""
+def test_a_slow_shaft_is_braked_at_any_bus_voltage(turning: Bench) -> None:
+    """Below 71 rad/s the winding losses at full current exceed the braking power."""
     turning.turn(0, 60.0)
     turning.hal.bus_code = bus_code(32.0)
     turning.slow(100)
     assert q_limits(turning)[0] == pytest.approx(-1.0, abs=0.01)
 
 
-def test_current_that_is_folded_back_is_reported_and_burns_in_the_winding(turning: Bench) -> None:
+def test_folded_back_current_is_flagged_and_moved_to_i_d(turning: Bench) -> None:
     turning.hal.bus_code = bus_code(32.0)
     turning.slow(50)
     turning.write(0, speed=0)
@@ -267,13 +267,13 @@ def test_the_resistor_is_switched_and_raises_the_limit(turning: Bench) -> None:
     assert all(turning.view(axis).limits & 0x40 for axis in range(2))
     turning.hal.bus_code = bus_code(34.5)
     turning.slow(100)
-    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN), "no over-voltage while the resistor is able"
+    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN), "no over-voltage while the resistor is available"
     turning.hal.bus_code = bus_code(36.0)
     turning.slow(20)
-    assert turning.view(0).faults == FAULTS.OVER_VOLTAGE, "but at the end of the converter's range"
+    assert turning.view(0).faults == FAULTS.OVER_VOLTAGE, "over-voltage at the end of the converter range"
 
 
-def test_a_spent_resistor_arms_the_fault_again(turning: Bench) -> None:
+def test_an_exhausted_resistor_enables_the_over_voltage_fault_again(turning: Bench) -> None:
     turning.write_raw("param.brake", [1])
     turning.hal.bus_code = bus_code(34.0)
     ticks = turning.until(lambda: turning.view(0).state == STATE.FAULT, 2000)

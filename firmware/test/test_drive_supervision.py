@@ -1,4 +1,4 @@
-"""What a spinning axis watches: stall, runaway, the least ramp of a stop, and switchable parts of the control."""
+"""Supervision of a spinning axis: stall, runaway, minimum ramp of a stop, and features of the control."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from servo_bench import (
 
 
 def running(bench: Bench, mode: int, rad_per_s: float) -> None:
-    """A shaft that obeys, well on its way in one of the modes."""
+    """An ideal shaft in motion, in one of the modes."""
     if mode == MODE.POSITION:
         bench.write(0, mode=MODE.POSITION, position=2_000_000)
     else:
@@ -43,17 +43,17 @@ def running(bench: Bench, mode: int, rad_per_s: float) -> None:
     "target", [{"mode": MODE.SPEED, "speed": speed(50.0)}, {"mode": MODE.POSITION, "position": 4000}]
 )
 def test_full_current_without_movement_is_a_stall(bench: Bench, target: dict[str, int]) -> None:
-    """Shaft held fast or encoder dead: the current does not stay on for ever."""
+    """Blocked shaft or dead encoder: the full current is limited in time."""
     bench.write(0, **target)
     ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, 2000)
     assert bench.view(0).faults == FAULTS.STALLED
-    # servo.toml: timing.stall_max, rotor_search.turn_time there and back, and the way to the limit
+    # servo.toml: timing.stall_max, rotor_search.turn_time in both directions, and the ramp to the limit
     assert 0.7 <= ticks * 0.5e-3 <= 0.95
     assert not bench.hal.axis[0].outputs_on
 
 
 def test_torque_against_a_wall_is_no_stall(bench: Bench) -> None:
-    """Pressing is what torque mode is for."""
+    """Full torque at standstill is normal in torque mode."""
     bench.write(0, mode=MODE.TORQUE, i_q=amps(4.0))
     bench.slow(3000)
     assert (bench.view(0).state, bench.view(0).faults) == (STATE.RUN, 0)
@@ -63,7 +63,7 @@ def test_torque_against_a_wall_is_no_stall(bench: Bench) -> None:
 
 
 def test_gaining_speed_against_the_full_current_is_a_runaway(bench: Bench) -> None:
-    """What an encoder slip of half an electrical turn does: the torque has the wrong sign."""
+    """As after an encoder slip by half an electrical revolution: the torque has the wrong sign."""
     for k in range(200):
         if bench.view(0).state == STATE.FAULT:
             break
@@ -75,7 +75,7 @@ def test_gaining_speed_against_the_full_current_is_a_runaway(bench: Bench) -> No
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_far_beyond_the_speed_limit_is_a_runaway_in_every_mode(bench: Bench, sign: int) -> None:
+def test_speed_far_above_its_limit_is_a_runaway(bench: Bench, sign: int) -> None:
     bench.turn_without_current(0, sign * 300.0)
     bench.slow(100)
     assert bench.view(0).state == STATE.RUN
@@ -87,7 +87,7 @@ def test_far_beyond_the_speed_limit_is_a_runaway_in_every_mode(bench: Bench, sig
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_reversal_at_full_current_is_no_runaway(bench: Bench, sign: int) -> None:
-    """Braking with all there is, as long as the shaft loses speed."""
+    """Braking at full current while the speed decreases."""
     bench.write(0, mode=MODE.SPEED, speed=speed(sign * 300.0))
     bench.follow(250)
     bench.write(0, speed=speed(-sign * 300.0))
@@ -99,7 +99,7 @@ def test_reversal_at_full_current_is_no_runaway(bench: Bench, sign: int) -> None
     assert (bench.view(0).state, bench.view(0).faults) == (STATE.RUN, 0)
 
 
-def test_shaft_that_is_being_braked_is_no_runaway(bench: Bench) -> None:
+def test_braking_is_no_runaway(bench: Bench) -> None:
     bench.turn_without_current(0, 300.0)
     bench.slow(50)
     bench.write(0, enable=0)
@@ -114,14 +114,14 @@ def test_shaft_that_is_being_braked_is_no_runaway(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("mode", [MODE.POSITION, MODE.SPEED, MODE.TORQUE])
-def test_lower_speed_limit_brakes_and_is_no_runaway(bench: Bench, mode: int) -> None:
-    """The host lowers the limit under way: the shaft is brought below it, the axis stays in RUN."""
+def test_lowered_speed_limit_brakes_and_is_no_runaway(bench: Bench, mode: int) -> None:
+    """The host lowers the limit in motion: the speed ramps down below it, the axis stays in RUN."""
     running(bench, mode, 280.0)
     bench.set_parameter("speed_limit", 100.0)
     shaft = rad_s(bench.view(0).speed)
     for _ in range(600):
-        wanted = rad_s(bench.view(0).speed_ref) if mode != MODE.TORQUE else 100.0
-        shaft = max(wanted, shaft - 3.0)  # 6000 rad/s2: what some ampere can do
+        set_point = rad_s(bench.view(0).speed_ref) if mode != MODE.TORQUE else 100.0
+        shaft = max(set_point, shaft - 3.0)  # 6000 rad/s2: possible with some amperes
         bench.turn(0, shaft)
         bench.slow()
         assert bench.view(0).faults == 0, f"at {shaft:.0f} rad/s"
@@ -144,7 +144,7 @@ def test_stops_obey_the_acceleration_limit(bench: Bench, stop: dict[str, int]) -
     assert references[0] - references[-1] == pytest.approx(50.0, abs=0.5)
 
 
-def test_stop_of_a_withdrawn_drive_ends_in_time_however_gentle_it_is(bench: Bench) -> None:
+def test_stop_with_a_low_acceleration_limit_ends_in_time(bench: Bench) -> None:
     """At 1 rad/s2 it would take minutes: after stop.time_max, 5 s, the outputs go off."""
     bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.follow(300)
@@ -156,7 +156,7 @@ def test_stop_of_a_withdrawn_drive_ends_in_time_however_gentle_it_is(bench: Benc
     assert not bench.hal.axis[0].outputs_on
 
 
-def test_steep_ramps_hold_for_stops(bench: Bench) -> None:
+def test_steep_acceleration_limits_apply_to_stops(bench: Bench) -> None:
     bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.follow(300)
     bench.write(0, quick_stop=1)
@@ -164,11 +164,11 @@ def test_steep_ramps_hold_for_stops(bench: Bench) -> None:
     assert abs(rad_s(bench.view(0).speed_ref)) < 1.0
 
 
-# ---- a shaft that still turns ---------------------------------------------------------------------------------------
+# ---- enable of a rotating shaft--------------------------------------------------------------------------------------
 
 
 def test_calib_waits_for_a_coasting_shaft(bench: Bench) -> None:
-    """After a fault at speed, READY would short the windings of a shaft at full speed."""
+    """Otherwise READY would short the windings at full speed after a fault."""
     bench.turn_without_current(0, 250.0)
     bench.slow(20)
     bench.hal.axis[0].over_current = True
@@ -180,8 +180,8 @@ def test_calib_waits_for_a_coasting_shaft(bench: Bench) -> None:
     times_on = bench.hal.axis[0].times_on
     bench.slow(1000)
     assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.CALIB)
-    assert bench.axis(0).sense.samples == 0, "a turning shaft may push current through the diodes"
-    bench.axis(0).calibrated = True  # it began to turn after the last sample
+    assert bench.axis(0).sense.samples == 0, "a rotating shaft may drive current through the diodes"
+    bench.axis(0).calibrated = True  # it began to rotate after the last sample
     bench.slow(10)
     assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.CALIB)
     assert bench.hal.axis[0].times_on == times_on
@@ -191,7 +191,7 @@ def test_calib_waits_for_a_coasting_shaft(bench: Bench) -> None:
     bench.to_substate(0, SUBSTATE.SPIN)
 
 
-def test_waiting_in_calib_can_be_given_up(bench: Bench) -> None:
+def test_waiting_in_calib_can_be_cancelled(bench: Bench) -> None:
     bench.turn_without_current(0, 100.0)
     bench.slow(20)
     bench.hal.bus_code = bus_code(14.0)
@@ -210,8 +210,8 @@ def test_waiting_in_calib_can_be_given_up(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("wait", [SUBSTATE.CALIB, SUBSTATE.FREEWHEEL])
-def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
-    """A shaft that something keeps turning must not start by itself, minutes later, when it comes to rest."""
+def test_enable_of_a_rotating_shaft_expires(bench: Bench, wait: int) -> None:
+    """An externally driven shaft must not start automatically when it comes to rest minutes later."""
     bench.turn_without_current(0, 100.0)
     bench.slow(20)
     if wait == SUBSTATE.CALIB:
@@ -228,7 +228,7 @@ def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
     assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, wait)
     assert bench.axis(0).enable_requested
     times_on = bench.hal.axis[0].times_on
-    bench.core.lib.probe_run(bench.servo, 26 * 16000)  # servo.toml: timing.rest_max; the edges stay young
+    bench.core.lib.probe_run(bench.servo, 26 * 16000)  # servo.toml: timing.rest_max; the edges stay recent
     assert not bench.axis(0).enable_requested
     bench.turn(0, 0.0)
     bench.until(lambda: bench.view(0).state == STATE.STOP, 300)
@@ -238,7 +238,7 @@ def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
         assert bench.hal.axis[0].times_on == times_on
 
 
-# ---- switchable parts -----------------------------------------------------------------------------------------------
+# ---- features --------------------------------------------------------------------------------------------------------
 
 
 def switch_off(bench: Bench, feature: int) -> None:
@@ -246,12 +246,12 @@ def switch_off(bench: Bench, feature: int) -> None:
     bench.slow(2)
 
 
-def test_everything_is_on_after_reset(bench: Bench) -> None:
+def test_all_features_of_the_reference_are_enabled_after_reset(bench: Bench) -> None:
     assert [bench.axis(i).features for i in range(2)] == [15, 15]
 
 
-def test_anti_windup_can_be_switched_off(bench: Bench) -> None:
-    bench.servo.parameter.faults_enabled = [0, 0]  # voltage without current is one
+def test_anti_windup_can_be_disabled(bench: Bench) -> None:
+    bench.servo.parameter.faults_enabled = [0, 0]  # voltage without current is a fault
     integrals = []
     for feature in (0, FEATURES.ANTI_WINDUP):
         switch_off(bench, feature)
@@ -264,7 +264,7 @@ def test_anti_windup_can_be_switched_off(bench: Bench) -> None:
     assert integrals[1] > 2 * max(integrals[0], 1)
 
 
-def test_enhanced_m_t_can_be_switched_off(core: Core) -> None:
+def test_enhanced_m_t_can_be_disabled(core: Core) -> None:
     """Plain M/T holds the last speed until the timer overflows (F18)."""
     stopped = []
     for feature in (0, FEATURES.ENHANCED_MT):
@@ -284,8 +284,8 @@ def test_enhanced_m_t_can_be_switched_off(core: Core) -> None:
 
 @pytest.mark.parametrize("off", [0, FEATURES.ENHANCED_MT])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_an_edge_just_after_the_timer_wrapped_is_no_fast_one(core: Core, off: int, sign: int) -> None:
-    """An edge every 168 slow ticks, 65625 of the timer: their difference in 16 bits is 89, which is 14 rad/s."""
+def test_an_edge_just_after_a_timer_wrap_gives_no_high_speed(core: Core, off: int, sign: int) -> None:
+    """One edge per 168 slow ticks, 65625 timer ticks: the 16-bit difference is 89, which would be 14 rad/s."""
     bench = Bench(core)
     bench.to_spin(0)
     switch_off(bench, off)
@@ -297,8 +297,8 @@ def test_an_edge_just_after_the_timer_wrapped_is_no_fast_one(core: Core, off: in
     assert speeds == {0}
 
 
-def test_bus_compensation_can_be_switched_off(core: Core) -> None:
-    """Without it the duties do not answer to a bus that sags."""
+def test_bus_compensation_can_be_disabled(core: Core) -> None:
+    """Without it the duties do not depend on the bus voltage."""
     swings = []
     for feature in (0, FEATURES.BUS_COMPENSATION):
         bench = Bench(core)
@@ -318,8 +318,8 @@ def test_bus_compensation_can_be_switched_off(core: Core) -> None:
     assert swings[1] == pytest.approx(1.0, rel=0.03)
 
 
-def test_dead_time_compensation_can_be_switched_off(core: Core) -> None:
-    """With 2 A in phase a the duties differ by twice the loss of dead time and drops."""
+def test_dead_time_compensation_can_be_disabled(core: Core) -> None:
+    """With 2 A in phase a the duties differ by twice the loss of dead time and voltage drops."""
     spans = []
     for feature in (0, FEATURES.DEAD_TIME):
         bench = Bench(core)
@@ -340,8 +340,8 @@ def test_dead_time_compensation_can_be_switched_off(core: Core) -> None:
 # ---- following error -------------------------------------------------------------------------------------------------
 
 
-def test_shaft_held_in_a_move_is_a_following_error(bench: Bench) -> None:
-    """1 rad for 10 ms (servo.toml): long before the stall of half a second is noticed."""
+def test_blocked_shaft_in_a_move_is_a_following_error(bench: Bench) -> None:
+    """1 rad for 10 ms (servo.toml): long before the stall time of half a second."""
     bench.switch_on(0, FEATURES.FOLLOWING_ERROR)
     bench.slow()
     bench.write(0, position=20_000)
@@ -353,8 +353,8 @@ def test_shaft_held_in_a_move_is_a_following_error(bench: Bench) -> None:
 
 @pytest.mark.parametrize("features", [0, FEATURES.SPEED_FORWARD])
 @pytest.mark.parametrize("bound", [0.5, 1.0])
-def test_lag_that_belongs_to_the_speed_is_none(bench: Bench, features: int, bound: float) -> None:
-    """3332 counts behind at 314 rad/s without feed-forward (E44): that is no error of following."""
+def test_lag_proportional_to_the_speed_is_no_following_error(bench: Bench, features: int, bound: float) -> None:
+    """The lag of 3332 counts at 314 rad/s without feed-forward (E44) is not a following error."""
     bench.set_parameter("following_error", bound)
     bench.switch_on(0, FEATURES.FOLLOWING_ERROR | features)
     bench.slow()
@@ -365,7 +365,7 @@ def test_lag_that_belongs_to_the_speed_is_none(bench: Bench, features: int, boun
 
 
 def test_displacement_by_a_load_is_a_following_error(bench: Bench) -> None:
-    """The bound is a distance and a time: 1 rad is 637 counts, 10 ms are 20 ticks."""
+    """Bound: a distance (1 rad = 637 counts) for a time (10 ms = 20 ticks)."""
     bench.switch_on(0, FEATURES.FOLLOWING_ERROR)
     bench.slow()
     for counts in (636, -636):
@@ -411,7 +411,7 @@ def test_over_speed_is_a_fault_within_milliseconds(bench: Bench, direction: int)
     assert 4 <= ticks <= 8  # servo.toml: timing.over_speed_max, 2 ms
 
 
-# ---- currents that the drive asks for by itself ----------------------------------------------------------------------
+# ---- test currents of the drive ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("i_q", [4.0, -4.0, 3.9, 0.0])
@@ -419,7 +419,7 @@ def test_over_speed_is_a_fault_within_milliseconds(bench: Bench, direction: int)
 def test_a_current_that_tests_the_encoder_stays_within_the_limit_of_the_motor(
     bench: Bench, i_q: float, along_q: bool
 ) -> None:
-    """On top of the set-point: 0.64 A of either sign, or across it."""
+    """A test current of 0.64 A with either sign, along or across the set-point."""
     bench.turn_without_current(0, 0.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(i_q))
     bench.slow(2)

@@ -1,4 +1,4 @@
-"""Sub-state TEST and test signals: what starts them, what ends them, what they do to the set-points."""
+"""Sub-state TEST and test signals: start, end, and effect on the set-points."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ TURN = 2**32
 
 
 def current(bench: Bench) -> float:
-    """Current that TEST asks for [A]."""
+    """Current set-point of TEST [A]."""
     return float(bench.axis(0).current_ref.d / 32768 * 8.25)
 
 
 def start_signal(bench: Bench, point: int, amplitude: float = 0.05, step: float = 0.01, calls: int = 200) -> None:
-    """On the first axis; amplitude is a part of the full scale, step is in turns per call."""
+    """Start a signal on the first axis; amplitude relative to full scale, step in revolutions per call."""
     bench.write(0, test_amplitude=round(amplitude * 32768), test_step=round(step * TURN), test_growth=0)
     bench.write(0, test_calls=calls, test_point=point)
 
@@ -51,7 +51,7 @@ def testing(core: Core) -> Bench:
 # ---- sub-state TEST -------------------------------------------------------------------------------------------------
 
 
-def test_it_begins_without_current_whatever_stands_in_memory(core: Core) -> None:
+def test_test_mode_begins_without_current_independent_of_the_memory(core: Core) -> None:
     bench = Bench(core)
     bench.to_stop()
     bench.write(0, i_q=amps(2.0), speed=speed(20.0))
@@ -72,12 +72,12 @@ def test_current_and_speed_of_the_vector_ramp_to_their_set_points(testing: Bench
     assert current(testing) == pytest.approx(1.5, abs=0.001)
     before = testing.axis(0).startup.angle
     testing.slow(100)
-    turned = ((testing.axis(0).startup.angle - before) % TURN) / TURN
+    rotation = ((testing.axis(0).startup.angle - before) % TURN) / TURN
     pairs = testing.axis(0).config.encoder.pole_pairs
-    assert turned == pytest.approx(30.0 * pairs * 0.05 / 6.2831853 % 1.0, abs=0.002)
+    assert rotation == pytest.approx(30.0 * pairs * 0.05 / 6.2831853 % 1.0, abs=0.002)
 
 
-def test_limits_hold_in_test_mode(testing: Bench) -> None:
+def test_limits_apply_in_test_mode(testing: Bench) -> None:
     testing.set_parameter("i_q_limit", 1.0)
     testing.set_parameter("speed_limit", 10.0)
     testing.write(0, i_q=amps(3.0), speed=speed(30.0))
@@ -87,7 +87,7 @@ def test_limits_hold_in_test_mode(testing: Bench) -> None:
     assert testing.view(0).limits & (LIMITS.CURRENT | LIMITS.SPEED) == LIMITS.CURRENT | LIMITS.SPEED
 
 
-def test_a_vector_whose_set_points_expire_stops_turning_and_holds(testing: Bench) -> None:
+def test_a_vector_with_expired_set_points_stops_and_holds(testing: Bench) -> None:
     testing.set_parameter("command_timeout", 0.05)
     testing.write(0, i_q=amps(1.0), speed=speed(10.0))
     testing.slow(60)
@@ -99,7 +99,7 @@ def test_a_vector_whose_set_points_expire_stops_turning_and_holds(testing: Bench
     assert testing.view(0).substate == SUBSTATE.TEST
 
 
-def test_a_shaft_that_is_too_fast_is_a_fault(testing: Bench) -> None:
+def test_over_speed_is_a_fault_in_test_mode(testing: Bench) -> None:
     testing.set_parameter("over_speed", 50.0)
     testing.switch_on(0, FEATURES.OVER_SPEED)
     testing.slow(2)
@@ -109,7 +109,7 @@ def test_a_shaft_that_is_too_fast_is_a_fault(testing: Bench) -> None:
 
 
 @pytest.mark.parametrize("command", [{"enable": 0}, {"quick_stop": 1}, {"mode": MODE.POSITION}, {"mode": MODE.SPEED}])
-def test_it_ends_without_current_and_waits_for_an_enable(testing: Bench, command: dict[str, int]) -> None:
+def test_test_mode_ends_without_current_and_waits_for_an_enable(testing: Bench, command: dict[str, int]) -> None:
     testing.write(0, i_q=amps(1.0))
     testing.slow(100)
     testing.write(0, **command)
@@ -120,7 +120,7 @@ def test_it_ends_without_current_and_waits_for_an_enable(testing: Bench, command
     assert not testing.hal.axis[0].outputs_on
 
 
-def test_a_fast_shaft_coasts_out(testing: Bench) -> None:
+def test_a_fast_shaft_coasts_after_test_mode(testing: Bench) -> None:
     testing.turn(0, 300.0)
     testing.slow(20)
     testing.write(0, enable=0)
@@ -128,8 +128,8 @@ def test_a_fast_shaft_coasts_out(testing: Bench) -> None:
     assert not testing.hal.axis[0].outputs_on
 
 
-def test_the_mode_alone_starts_nothing(bench: Bench) -> None:
-    """A spinning axis comes to rest and holds; what stands in memory as a position is not followed."""
+def test_test_mode_alone_starts_no_motion(bench: Bench) -> None:
+    """A spinning axis comes to rest and holds; the position in memory is not followed."""
     bench.write(0, mode=MODE.SPEED, speed=speed(20.0))
     bench.follow(100)
     bench.write(0, mode=4, position=100_000)
@@ -140,7 +140,7 @@ def test_the_mode_alone_starts_nothing(bench: Bench) -> None:
     assert bench.follow(50)[-1][1] == log[-1][1]
 
 
-def test_an_axis_without_an_encoder_does_not_test(core: Core) -> None:
+def test_a_sensorless_axis_does_not_enter_test_mode(core: Core) -> None:
     bench = Bench(core)
     bench.write_raw("param.feedback", [1, 0])
     bench.to_stop()
@@ -149,8 +149,8 @@ def test_an_axis_without_an_encoder_does_not_test(core: Core) -> None:
     assert bench.view(0).substate == SUBSTATE.READY
 
 
-def test_an_axis_with_a_holding_brake_does_not_test(core: Core) -> None:
-    """A vector at a wrong angle would not hold what the brake has held."""
+def test_an_axis_with_a_holding_brake_does_not_enter_test_mode(core: Core) -> None:
+    """A vector at a wrong angle would not hold the load of the brake."""
     bench = Bench(core)
     bench.configure_pins(INPUTS.BRAKE_OPEN, open_ticks=50, close_ticks=20)
     bench.to_stop()
@@ -165,7 +165,7 @@ def test_an_axis_with_a_holding_brake_does_not_test(core: Core) -> None:
 
 
 @pytest.mark.parametrize("at", [TEST_POINT.I_D, TEST_POINT.I_Q])
-def test_a_fast_signal_lasts_its_periods_and_leaves_the_set_point(testing: Bench, at: int) -> None:
+def test_a_fast_signal_lasts_its_periods_and_does_not_change_the_set_point(testing: Bench, at: int) -> None:
     testing.write(0, i_q=amps(1.0))
     testing.slow(100)
     start_signal(testing, at, calls=100)
@@ -184,7 +184,7 @@ def test_a_fast_signal_lasts_its_periods_and_leaves_the_set_point(testing: Bench
     assert testing.axis(0).fast == testing.core.lib.LOOP_FAST
 
 
-def test_a_signal_on_the_torque_shows_in_the_set_point(bench: Bench) -> None:
+def test_a_signal_on_the_torque_is_in_the_current_set_point(bench: Bench) -> None:
     bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.slow(4)
     start_signal(bench, TEST_POINT.TORQUE, calls=50)
@@ -196,7 +196,7 @@ def test_a_signal_on_the_torque_shows_in_the_set_point(bench: Bench) -> None:
     assert (point(bench), bench.view(0).i_q_ref) == (TEST_POINT.NONE, 0)
 
 
-def test_a_signal_on_the_speed_shows_in_the_set_point(bench: Bench) -> None:
+def test_a_signal_on_the_speed_is_in_the_speed_set_point(bench: Bench) -> None:
     bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(4)
     start_signal(bench, TEST_POINT.SPEED, amplitude=0.01, calls=50)
@@ -217,7 +217,7 @@ def test_a_signal_on_the_speed_keeps_speed_and_soft_limits(bench: Bench) -> None
     peaks = bench.trace(400, lambda: rad_s(bench.view(0).speed_ref), follow=False)
     assert max(peaks) == pytest.approx(20.0, abs=0.01)
     assert min(peaks) == pytest.approx(-20.0, abs=0.01)
-    bench.set_parameter("position_max", -0.5)  # behind the shaft: not one step farther
+    bench.set_parameter("position_max", -0.5)  # behind the shaft: no motion towards it
     bench.switch_on(0, FEATURES.POSITION_LIMITS)
     bench.slow(4)
     peaks.clear()
@@ -228,7 +228,7 @@ def test_a_signal_on_the_speed_keeps_speed_and_soft_limits(bench: Bench) -> None
     assert bench.view(0).limits & LIMITS.POSITION or rad_s(bench.view(0).speed_ref) < 0.0
 
 
-def test_a_signal_ends_with_its_set_point(bench: Bench) -> None:
+def test_a_signal_ends_when_its_set_point_expires(bench: Bench) -> None:
     bench.set_parameter("command_timeout", 0.05)
     bench.write(0, mode=MODE.SPEED, speed=speed(5.0))
     bench.follow(10)
@@ -240,7 +240,7 @@ def test_a_signal_ends_with_its_set_point(bench: Bench) -> None:
     assert point(bench) == TEST_POINT.NONE
 
 
-def test_at_a_limit_switch_no_signal_begins(bench: Bench) -> None:
+def test_no_signal_begins_at_an_active_limit_switch(bench: Bench) -> None:
     bench.configure_pins(INPUTS.LIMIT_MIN)
     bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN
     bench.slow(5)
@@ -258,7 +258,7 @@ def test_slow_points_need_a_controlled_speed(testing: Bench) -> None:
 
 
 @pytest.mark.parametrize("end", [{"enable": 0}, {"quick_stop": 1}, {"test_point": TEST_POINT.NONE}])
-def test_what_ends_a_signal(bench: Bench, end: dict[str, int]) -> None:
+def test_a_signal_ends_with_disable_quick_stop_or_its_command(bench: Bench, end: dict[str, int]) -> None:
     bench.write(0, mode=MODE.SPEED, speed=0)
     start_signal(bench, TEST_POINT.SPEED, amplitude=0.001, calls=100_000)
     bench.slow(20)
@@ -279,7 +279,7 @@ def test_a_fault_ends_a_signal(bench: Bench) -> None:
     assert point(bench) == TEST_POINT.NONE
 
 
-def test_at_rest_a_signal_is_not_remembered(core: Core) -> None:
+def test_a_signal_requested_with_outputs_off_is_discarded(core: Core) -> None:
     bench = Bench(core)
     bench.to_stop()
     start_signal(bench, TEST_POINT.I_Q, calls=100_000)

@@ -1,4 +1,4 @@
-"""The includes of the firmware: no circle, and what a folder must not know.
+"""The includes of the firmware: no circle, and the permitted dependencies of folders.
 
 A unit is a source file with its header: `app/servo` stands for ``app/servo.c`` and ``app/servo.h``.
 """
@@ -17,7 +17,7 @@ Graph = Mapping[str, set[str]]
 
 
 def include_graph(root: Path) -> dict[str, set[str]]:
-    """Units that each unit includes; those of the tests do not count."""
+    """Units that each unit includes, without those of the tests."""
     graph: dict[str, set[str]] = {}
     for path in sorted(root.rglob("*.[ch]")):
         name = path.relative_to(root).with_suffix("")
@@ -26,14 +26,14 @@ def include_graph(root: Path) -> dict[str, set[str]]:
         units = graph.setdefault(name.as_posix(), set())
         for text in INCLUDE.findall(path.read_text(encoding="utf-8")):
             found = next((place / text for place in (root, path.parent) if (place / text).is_file()), None)
-            assert found is not None, f"{path} includes {text}, which is nowhere"
+            assert found is not None, f"{path} includes {text}, which does not exist"
             units.add(found.relative_to(root).with_suffix("").as_posix())
         units.discard(name.as_posix())
     return graph
 
 
 def circle_of(graph: Graph) -> list[str]:
-    """Some circle, its first unit again at the end; empty if there is none."""
+    """A circle of units, with the first unit repeated at the end; empty: none."""
     done: set[str] = set()
 
     def search(unit: str, path: list[str]) -> list[str]:
@@ -51,7 +51,7 @@ def circle_of(graph: Graph) -> list[str]:
 
 
 def reached_from(graph: Graph, folder: str) -> set[str]:
-    """All that the units of a folder include, directly or not."""
+    """All units that a folder includes directly or indirectly."""
     reached: set[str] = set()
     open_ends = {unit for unit in graph if unit.startswith(f"{folder}/")}
     while open_ends:
@@ -66,23 +66,23 @@ def graph() -> dict[str, set[str]]:
     return include_graph(FIRMWARE)
 
 
-def test_no_unit_of_the_firmware_includes_itself_by_way_of_others(graph: Graph) -> None:
+def test_no_unit_of_the_firmware_includes_itself_indirectly(graph: Graph) -> None:
     assert {"app/servo", "drive/axis", "diagnosis/fault_isolate", "port/mc56f84789/port"} <= set(graph)
     assert " -> ".join(circle_of(graph)) == ""
 
 
 @pytest.mark.parametrize("above", ["drive", "app", "comm", "port"])
-def test_the_diagnosis_knows_nothing_of_what_stands_above_it(graph: Graph, above: str) -> None:
+def test_the_diagnosis_includes_no_higher_layer(graph: Graph, above: str) -> None:
     assert not {unit for unit in reached_from(graph, "diagnosis") if unit.startswith(f"{above}/")}
 
 
-def test_the_drive_depends_one_way_from_the_axis_to_the_latch(graph: Graph) -> None:
+def test_dependencies_of_the_drive_have_one_direction_from_axis_to_latch(graph: Graph) -> None:
     for lower, upper in (("axis_states", "axis"), ("run_states", "axis_states"), ("axis_faults", "run_states")):
         assert f"drive/{lower}" in graph[f"drive/{upper}"]
     assert "diagnosis/fault_latch" in reached_from(graph, "drive")
 
 
-def test_a_circle_is_named(tmp_path: Path) -> None:
+def test_a_circle_of_includes_is_found(tmp_path: Path) -> None:
     for name, other in {"a.h": "b.h", "b.c": "c.h", "b.h": "b.h", "c.h": "a.h"}.items():
         (tmp_path / name).write_text(f'#include "{other}"\n', encoding="utf-8")
     assert circle_of(include_graph(tmp_path)) == ["a", "b", "c", "a"]

@@ -1,4 +1,4 @@
-"""Division of 64 bits by 16: the quotient that C's own division gives."""
+"""Division of 64 by 16 bits gives the quotient of the C operator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_exact_over_the_whole_range(core: Core, x: int, divisor: int) -> None:
 
 
 @given(quotient=edges(-(2**47), 2**47 - 1), divisor=DIVISOR)
-def test_products_divide_without_rest_and_their_neighbours_do_not(core: Core, quotient: int, divisor: int) -> None:
+def test_products_divide_without_remainder_and_their_neighbours_do_not(core: Core, quotient: int, divisor: int) -> None:
     for near in (-1, 0, 1):
         x = quotient * divisor + near
         assert core.lib.i64_over_u16(x, divisor) == towards_zero(x, divisor)

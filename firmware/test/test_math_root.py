@@ -21,7 +21,7 @@ def test_exact_over_the_whole_range(core: Core, x: int) -> None:
 @given(root=st.one_of(edges(1, 2**32 - 1), near(*(2**n for n in range(2, 32)), 65535 << 16)))
 @settings(max_examples=2000)
 def test_squares_and_their_neighbours(core: Core, root: int) -> None:
-    """From one square to the number before the next one the root is the same."""
+    """The root is constant from a square to the number before the next square."""
     for x in (root * root, root * root + 2 * root):
         assert core.lib.u64_sqrt(x) == root
     assert core.lib.u64_sqrt(root * root - 1) == root - 1
@@ -30,7 +30,7 @@ def test_squares_and_their_neighbours(core: Core, root: int) -> None:
 @given(upper=st.integers(2**15, 2**16 - 1), rest=edges(-1, 2**16), low=edges(0, 2**32 - 1))
 @settings(max_examples=2000)
 def test_upper_half_next_to_a_square(core: Core, upper: int, rest: int, low: int) -> None:
-    """Where the first half of the root has no or the largest remainder."""
+    """The first half of the root has no remainder or the largest one."""
     for high in (upper * upper + rest, upper * upper + 2 * upper - rest):
         x = min(max(high, 0), 2**32 - 1) << 32 | low
         assert core.lib.u64_sqrt(x) == math.isqrt(x)

@@ -24,13 +24,13 @@ def test_at_most_one_lsb_off_at_every_angle(waves: Waves) -> None:
     turn = 2.0 * np.pi * np.arange(65536) / 65536.0
     for wave, exact in zip(waves, (np.sin(turn), np.cos(turn)), strict=True):
         ideal = np.clip(exact * 32768.0, -32768.0, 32767.0)
-        assert np.max(np.abs(wave - np.round(ideal))) <= 1, "more than one LSB off the best number"
+        assert np.max(np.abs(wave - np.round(ideal))) <= 1, "more than one LSB off the nearest number"
         assert np.max(np.abs(wave - ideal)) < 1.01
         assert abs(np.mean(wave - ideal)) < 0.01
 
 
 def test_agrees_with_integers_in_every_bit(waves: Waves) -> None:
-    """A quarter wave of 257 nearest numbers, 1.0 being 32767, and between them the straight line, halves upwards."""
+    """A quarter wave of 257 nearest numbers (1.0 is 32767) with linear interpolation, halves upwards."""
     table = np.minimum(np.round(32768.0 * np.sin(np.pi / 2.0 * np.arange(257) / 256.0)), 32767).astype(np.int64)
     step, part = np.divmod(np.arange(16384), 64)
     quarter = np.append((table[step] * 64 + (table[step + 1] - table[step]) * part + 32) >> 6, 32767)
@@ -40,7 +40,7 @@ def test_agrees_with_integers_in_every_bit(waves: Waves) -> None:
     assert np.array_equal(waves[1], np.roll(sines, -16384))
 
 
-def test_length_never_exceeds_what_a_rotation_can_take(waves: Waves) -> None:
+def test_sum_of_sine_and_cosine_fits_a_rotation(waves: Waves) -> None:
     """transforms.h adds two products in 32 bits: |sin| + |cos| must stay below 2 x 32767."""
     sines, cosines = waves
     assert np.max((np.abs(sines) + np.abs(cosines)) * 32768 + 0x4000) < 2**31
@@ -57,7 +57,7 @@ def test_root_is_rounded_down(core: Core) -> None:
     assert roots.tolist() == expected
 
 
-def test_every_root_and_the_numbers_beside_its_square(core: Core) -> None:
+def test_every_root_at_and_below_its_square(core: Core) -> None:
     """All 32768 results: from 2 r^2 on it is r, just below r - 1."""
     roots = np.arange(32768, dtype=np.int64)
     for beside, expected in ((-1, roots - 1), (0, roots), (1, roots)):

@@ -1,4 +1,4 @@
-"""Build recipe, stack and RAM of the MC56F84789: nothing is forgotten, and everything has its room."""
+"""Build recipe, stack and memory budget of the MC56F84789: complete, and within the available sizes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from port_board import PORT
 
 pytestmark = pytest.mark.slow
 
-STACK_MARGIN = 1.5  # frames of the chip's own compiler are not known
-LIBRARY_ROOM = 512  # words of the run-time library, which runs from RAM, too
+STACK_MARGIN = 1.5  # stack frames of the chip's compiler are not known
+LIBRARY_ROOM = 512  # words of the run-time library, which also runs from RAM
 OTHERS = {"test", "port/avr", "port/cortex_m3"}  # folders that are not flashed
 FAST_ROOTS = (
     *("drive_current", "drive_observed", "encoder_source_fast", "observer_source_fast"),
     *("recorder_take", "adc_take_first", "adc_take_second", "port_receive"),
 )
-"""What every period executes, on the way from the sample to the duties; and the receiver, which must not be late."""
+"""Functions executed in every period between the sample and the duties, and the receiver, which has a deadline."""
 
 
 @pytest.fixture(scope="module")
@@ -61,21 +61,21 @@ class TestBuild:
         expected = {path.as_posix() for path in files if not any(path.is_relative_to(folder) for folder in OTHERS)}
         assert {path.relative_to(FIRMWARE).as_posix() for path in chip_budget.sources()} == expected
 
-    def test_what_runs_from_ram_is_a_part_of_it(self) -> None:
+    def test_sources_that_run_from_ram_are_sources_of_the_firmware(self) -> None:
         fast = chip_budget.fast_files()
         assert fast
         assert len(set(fast)) == len(fast)
         assert set(fast) <= {path.relative_to(FIRMWARE).as_posix() for path in chip_budget.sources()}
 
-    def test_what_stays_in_the_data_flash_has_no_code(self, loaded: Program) -> None:
-        """Nothing in it is for an interrupt, either: that would wait for the flash."""
+    def test_objects_in_the_data_flash_have_no_code(self, loaded: Program) -> None:
+        """It also contains no data used by an interrupt, which would wait for the flash."""
         for name in chip_budget.table_files():
             assert loaded.code[name] == 0
             assert loaded.constants[name] > 0
             assert name not in chip_budget.fast_files()
 
     def test_each_object_is_compiled_from_one_source(self) -> None:
-        """Each object has a source and a place of its own; fast loops and tables come by way of their section."""
+        """Each object has its own source and place; fast loops and tables are placed by their sections."""
         run = chip_budget._output("make", "--dry-run", "--always-make", "-C", PORT, "CW=/cw", "all")
         compiled = [line.split(" -c ")[1].split(" -o ") for line in run.splitlines() if " -c " in line]
         for source, target in compiled:
@@ -89,13 +89,13 @@ class TestBuild:
 
 
 class TestFirmware:
-    def test_the_stack_has_room_for_an_interrupt_of_each_level(self, budget: Budget) -> None:
+    def test_the_stack_suffices_for_an_interrupt_of_each_level(self, budget: Budget) -> None:
         assert budget.deepest * STACK_MARGIN <= budget.stack, chip_budget.report(budget)
 
-    def test_the_ram_has_room_for_everything(self, budget: Budget) -> None:
+    def test_all_variables_fit_the_ram(self, budget: Budget) -> None:
         assert budget.free >= LIBRARY_ROOM, chip_budget.report(budget)
 
-    def test_the_data_flash_has_room_for_the_tables(self, budget: Budget) -> None:
+    def test_the_tables_fit_the_data_flash(self, budget: Budget) -> None:
         assert 0 < budget.tables <= chip_budget.DATA_FLASH_WORDS
 
     def test_the_fast_loops_run_from_ram(self, program: Program) -> None:
@@ -109,7 +109,7 @@ class TestFirmware:
 
 
 class TestTool:
-    def test_depth_is_that_of_the_deepest_call(self, alone: Path) -> None:
+    def test_stack_depth_is_that_of_the_deepest_call(self, alone: Path) -> None:
         program = load(
             alone,
             "void leaf(volatile char *); void use(volatile char *);\n"
@@ -130,7 +130,9 @@ class TestTool:
         with pytest.raises(BudgetError, match=r"alone\.c:1:\d+: POINTERS does not contain surprise"):
             load(alone, "void call(void (*surprise)(void)) { surprise(); surprise(); }\n")
 
-    def test_a_pointer_may_hold_all_that_the_table_says(self, alone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_all_functions_of_a_pointer_in_the_table_are_considered(
+        self, alone: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         monkeypatch.setattr(chip_budget, "POINTERS", {"hook": ("one", "two")})
         program = load(
             alone,

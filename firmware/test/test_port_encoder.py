@@ -19,7 +19,7 @@ def board(compile_c: CompileC) -> FakeBoard:
 
 
 def edge(board: FakeBoard, axis: int, count: int, time: int) -> None:
-    """A B edge: timers whose flag is clear take their counter."""
+    """A B edge: timers with a clear flag capture their counters."""
     for channel, value in ((0, count), (1, time), (3, 0)):
         base = TMR[axis] + 0x10 * channel
         if not board[base + SCTRL] & IEF:
@@ -52,7 +52,7 @@ def test_arm_opens_the_captures_and_the_interrupt(board: FakeBoard, axis: int) -
     assert [board[TMR[axis] + 0x10 * n + SCTRL] & (IEF | IEFIE) for n in (0, 1, 3)] == [IEFIE, 0, 0]
 
 
-def test_one_capture_per_arming(board: FakeBoard) -> None:
+def test_each_arming_allows_one_capture(board: FakeBoard) -> None:
     board.lib.hal_capture_arm(board.hal, 0)
     assert take(board, 0) is None
     edge(board, 0, 123, 456)
@@ -66,8 +66,8 @@ def test_one_capture_per_arming(board: FakeBoard) -> None:
     assert take(board, 1) is None
 
 
-def test_arming_repeats_when_an_edge_slips_in_between(board: FakeBoard) -> None:
-    """An edge that one timer has taken and another has not would be a wrong speed."""
+def test_arming_is_repeated_if_an_edge_occurs_during_it(board: FakeBoard) -> None:
+    """An edge captured by only one of the timers would give a wrong speed."""
     for writes in range(1, 7):
         for channel in (0, 1, 3):
             board[TMR[0] + 0x10 * channel + SCTRL] |= IEF
@@ -88,12 +88,12 @@ def test_an_edge_interrupt_calls_the_edge_handler(board: FakeBoard, axis: int) -
     assert not board[TMR[axis] + SCTRL] & IEFIE
 
 
-def test_an_edge_not_taken_interrupts_once(board: FakeBoard) -> None:
+def test_an_edge_that_is_not_read_interrupts_once(board: FakeBoard) -> None:
     board.lib.hal_capture_arm(board.hal, 0)
     edge(board, 0, 1, 2)
     board.isr(ISR_EDGE[0])
     assert board[TMR[0] + SCTRL] & (IEF | IEFIE) == IEF
-    assert take(board, 0) == (1, 2)  # it still waits for the slow loop
+    assert take(board, 0) == (1, 2)  # still pending for the slow loop
 
 
 # ---- age of the last edge -------------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ def test_overflow_survives_arming_and_ends_with_an_edge(board: FakeBoard) -> Non
     assert board.lib.hal_edge_age(board.hal, 0) == 0
 
 
-def test_overflow_ends_with_an_edge_not_taken(board: FakeBoard) -> None:
+def test_overflow_ends_with_an_unread_edge(board: FakeBoard) -> None:
     board.lib.hal_capture_arm(board.hal, 0)
     board[TMR[0] + 0x37] |= TOF
     edge(board, 0, 1, 2)
@@ -142,7 +142,7 @@ def received(board: FakeBoard) -> bytes:
     return data
 
 
-def test_receives_what_the_fifo_holds(board: FakeBoard) -> None:
+def test_all_bytes_of_the_fifo_are_received(board: FakeBoard) -> None:
     assert received(board) == b""
     for byte in b"wxyz":
         board.lib.fake_receive(board.chip, byte)
@@ -151,7 +151,7 @@ def test_receives_what_the_fifo_holds(board: FakeBoard) -> None:
     assert received(board) == b"wxyz"
 
 
-def test_ring_keeps_its_order_around_its_end(board: FakeBoard) -> None:
+def test_ring_buffer_keeps_its_order_across_its_end(board: FakeBoard) -> None:
     for start in range(0, 400, 4):
         block = bytes((start + k) % 256 for k in range(4))
         for byte in block:
@@ -160,7 +160,7 @@ def test_ring_keeps_its_order_around_its_end(board: FakeBoard) -> None:
         assert received(board) == block
 
 
-def test_full_ring_loses_the_newest(board: FakeBoard) -> None:
+def test_full_ring_buffer_discards_the_newest_byte(board: FakeBoard) -> None:
     for byte in range(80):
         board.lib.fake_receive(board.chip, byte)
         board.isr(ISR_RECEIVE)
@@ -176,7 +176,7 @@ def test_overrun_is_cleared(board: FakeBoard) -> None:
 
 
 @pytest.mark.parametrize("waiting", [0, 3, 4])
-def test_sends_while_the_fifo_has_room(board: FakeBoard, waiting: int) -> None:
+def test_bytes_are_sent_while_the_fifo_has_space(board: FakeBoard, waiting: int) -> None:
     board[CTRL2] = 0x20 | waiting << 13
     sent = board.lib.hal_serial_put(board.hal, 0x5A)
     assert sent == (waiting < 4)
@@ -187,8 +187,8 @@ def test_sends_while_the_fifo_has_room(board: FakeBoard, waiting: int) -> None:
     ("baud", "rate"),
     [(0, 434), (115200, 434), (921600, 54), (1_000_000, 50), (1200, 41667), (300, 0xFFFF), (9_000_000, 8)],
 )
-def test_the_owner_of_the_board_sets_the_line_speed(compile_c: CompileC, baud: int, rate: int) -> None:
-    """For whom the owner of the board sets it; out of range, the nearest that there is."""
+def test_baud_rate_is_set_to_the_nearest_possible_one(compile_c: CompileC, baud: int, rate: int) -> None:
+    """The nearest possible baud rate if the requested one is out of range."""
     board = FakeBoard(compile_c, initialised=False)
     board.lib.fake_baud(board.chip, baud)
     assert board.init()

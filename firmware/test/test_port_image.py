@@ -1,4 +1,4 @@
-"""What only silicon sees of the MC56F84789 port: vector table, linker map, start-up, and the sources as 16-bit C."""
+"""Parts of the MC56F84789 port that run on silicon only: vector table, linker map, start-up, 16-bit C sources."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_every_vector_jumps_to_its_handler() -> None:
         assert (instruction, target) == ("JSR", USED.get(number, "isr_unexpected"))
 
 
-def test_table_and_controller_know_the_same_vectors() -> None:
+def test_table_and_interrupt_controller_have_the_same_vectors() -> None:
     """Every handler in the table has a level, and every level a handler."""
     text = (PORT / "vectors.h").read_text(encoding="ascii")
     registers = (PORT / "registers.h").read_text(encoding="ascii")
@@ -46,8 +46,8 @@ def regions() -> dict[str, tuple[str, int, int]]:
     return {name: (access, int(origin, 16), int(length, 16)) for name, access, origin, length in found}
 
 
-def test_no_word_of_memory_is_forgotten_or_used_twice() -> None:
-    """256 KB of program flash, 32 KB of RAM, in words; nothing overlaps and no word of flash is forgotten."""
+def test_memory_regions_have_no_gaps_and_no_overlaps() -> None:
+    """256 KB of program flash and 32 KB of RAM, in words, without gaps and overlaps."""
     flash = sorted((origin, length) for name, (_, origin, length) in regions().items() if name.startswith("p_"))
     end = 0
     for origin, length in flash:
@@ -63,7 +63,7 @@ def test_no_word_of_memory_is_forgotten_or_used_twice() -> None:
     assert regions()["p_flash_config"][1:] == (0x200, 8)
 
 
-def test_flash_configuration_leaves_the_chip_open() -> None:
+def test_flash_configuration_leaves_the_chip_unsecured() -> None:
     """Security byte 7E in the low half of word 206h; every protection byte FF."""
     text = (PORT / "mc56f84789.cmd").read_text(encoding="ascii")
     words = [int(value, 16) for value in re.findall(r"WRITEH\((\w+)\);", text.split("> .p_flash_config")[0])]
@@ -79,14 +79,14 @@ def test_every_section_has_its_place() -> None:
 
 
 @pytest.mark.parametrize("source", sorted(path.name for path in PORT.glob("*.c")))
-def test_sources_where_int_has_16_bits(compile_program: CompileProgram, tmp_path: Path, source: str) -> None:
-    """As for silicon: registers at their addresses, no chip in the state of the board."""
+def test_sources_compile_where_int_has_16_bits(compile_program: CompileProgram, tmp_path: Path, source: str) -> None:
+    """Compiled as for silicon: registers at their addresses, no chip in the state of the board."""
     options = ["-mmcu=atmega1284p", "-Os", "-c"]
     compile_program(f"{source}.o", [f"port/mc56f84789/{source}"], options, compiler="avr-gcc")
 
 
 def test_no_register_is_written_with_a_bare_number() -> None:
-    """Values come from settings.h; a driver knows names, 0 and counts only."""
+    """Values are defined in settings.h; a driver uses names, 0 and counts only."""
     for path in PORT.glob("*.c"):
         text = re.sub(r"/\*.*?\*/", "", path.read_text(encoding="ascii"), flags=re.DOTALL)
         text = text.split("#ifdef __MWERKS__\nextern")[0]

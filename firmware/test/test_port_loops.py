@@ -1,4 +1,4 @@
-"""Interrupts of the MC56F84789 port: start sequence, both loops, over-current; what hal.h says of ADC and PWM."""
+"""Interrupts of the MC56F84789 port: start sequence, both loops, over-current; ADC and PWM of hal.h."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def test_start_sequence_in_the_order_of_the_reference(board: FakeBoard) -> None:
         (0xE645, 0x0010),  # its VAL4 triggers
         (0xE643, 0x0020),  # its VAL5 interrupts
         (0xE715, 0x0010),  # PWMB SM0's VAL4 triggers
-        (0xE612, 0x0020),  # clear the start's own flag
-        (0xE613, 0x0000),  # and never again
+        (0xE612, 0x0020),  # clear the flag of the start interrupt
+        (0xE613, 0x0000),  # and disable it
     ]
 
 
@@ -84,7 +84,7 @@ def test_scope_pin_is_high_for_the_length_of_the_handler(
 CODES = {pair: 100 + pair for pair in range(6)} | {8 + pair: 200 + pair for pair in range(6)}
 
 
-def test_results_of_the_first_half(board: FakeBoard) -> None:
+def test_results_of_the_first_half_are_read(board: FakeBoard) -> None:
     run_m1(board, CODES)
     currents, offsets = board.lib.hal_adc_currents(board.hal, 0), board.lib.hal_adc_offsets(board.hal, 1)
     assert (currents.first, currents.second) == (100, 200)
@@ -92,7 +92,7 @@ def test_results_of_the_first_half(board: FakeBoard) -> None:
     assert board.lib.hal_adc_bus(board.hal) == 102
 
 
-def test_results_of_the_second_half(board: FakeBoard) -> None:
+def test_results_of_the_second_half_are_read(board: FakeBoard) -> None:
     run_m2(board, CODES)
     currents, offsets = board.lib.hal_adc_currents(board.hal, 1), board.lib.hal_adc_offsets(board.hal, 0)
     assert (currents.first, currents.second) == (103, 203)
@@ -114,11 +114,11 @@ PHASE = {0: "a", 1: "b", 8: "b", 9: "c", 4: "a", 5: "b", 12: "b", 13: "c"}
 @pytest.mark.parametrize(("pair", "phases"), [(0, "ab"), (1, "bc"), (2, "ca")])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_every_selected_phase_is_sampled(board: FakeBoard, axis: int, pair: int, phases: str) -> None:
-    """Every selected phase arrives where hal.h says, through whichever converter it goes."""
+    """Every selected phase is returned in the order of hal.h, by either converter."""
     board.lib.hal_adc_select(board.hal, axis, pair)
     lists = [board[0xE504 + n] for n in range(4)]
     channel = {n: lists[n // 4] >> 4 * (n % 4) & 0xF for n in range(16)}
-    # Each converter sees its own channels only.
+    # Each converter has its own channels.
     assert all(channel[n] < 8 for n in range(6))
     assert all(channel[n] >= 8 for n in range(8, 14))
     assert (channel[2], channel[5]) == (6, 6)
@@ -134,7 +134,7 @@ def test_every_selected_phase_is_sampled(board: FakeBoard, axis: int, pair: int,
     assert all((channel[n] % 8 in own) == (n in currents or axis == 0) for n in currents)
 
 
-def test_channels_of_the_motors_are_apart(board: FakeBoard) -> None:
+def test_motors_have_different_channels(board: FakeBoard) -> None:
     seen: dict[int, set[int]] = {0: set(), 1: set()}
     for pair in range(3):
         for axis, samples in ((0, (0, 4, 8, 12)), (1, (1, 3, 9, 11))):
@@ -143,7 +143,7 @@ def test_channels_of_the_motors_are_apart(board: FakeBoard) -> None:
     assert seen == {0: {0, 1, 8, 9}, 1: {4, 5, 12, 13}}
 
 
-def test_selecting_the_same_pair_again_costs_nothing(board: FakeBoard) -> None:
+def test_selecting_the_same_pair_again_causes_no_access(board: FakeBoard) -> None:
     board.lib.hal_adc_select(board.hal, 0, 2)
     board.forget()
     board.lib.hal_adc_select(board.hal, 0, 2)
@@ -158,7 +158,7 @@ def test_selecting_the_same_pair_again_costs_nothing(board: FakeBoard) -> None:
     [(ISR_M1, ready) for ready in (0, SECOND, FIRST | SECOND, 0x0303)]
     + [(ISR_M2, ready) for ready in (0, FIRST, FIRST | SECOND, 0x3830)],
 )
-def test_wrong_scan_starts_anew(board: FakeBoard, vector: int, ready: int) -> None:
+def test_a_wrong_scan_restarts_the_sequence(board: FakeBoard, vector: int, ready: int) -> None:
     board.lib.hal_pwm_enable(board.hal, 0, True)
     board.isr(START)
     board[0xE612] = 0x0020  # VAL5 of SM0 has matched in every period
@@ -167,29 +167,29 @@ def test_wrong_scan_starts_anew(board: FakeBoard, vector: int, ready: int) -> No
     board.isr(vector)
     assert servo_calls(board) == []
     assert (board[0xE645], board[0xE643], board[0xE715]) == (0, 0, 0)  # triggers and M1 off
-    assert board[0xE613] == 0x0020  # the start interrupt waits again,
+    assert board[0xE613] == 0x0020  # the start interrupt is enabled again
     assert board[0xE612] == 0  # for the next match
     assert board.writes_of(0xE500) == [0x5005, 0x1805]
     assert board.writes_of(0xE501) == [0x4044, 0x0044]
     assert not board[0xE509]
     assert not board[RDY] & 0x3F3F
-    assert board[0xE6C0] == 0x0770  # the duties stand
+    assert board[0xE6C0] == 0x0770  # the outputs stay on
 
 
-def test_lost_for_good_opens_the_switches(board: FakeBoard) -> None:
+def test_repeated_wrong_scans_open_the_switches(board: FakeBoard) -> None:
     for axis in (0, 1):
         board.lib.hal_pwm_enable(board.hal, axis, True)
     for _ in range(5):
         assert board[0xE6C0] == board[0xE7C0] == 0x0770
         run_m1(board)
-        run_m2(board)  # some scans are right
+        run_m2(board)  # some scans are valid
         board.results(0, {})
         board.isr(ISR_M1)
     assert board[0xE6C0] == board[0xE7C0] == 0
-    assert board[0xE613] == board[0xE643] == 0  # no loops any more: the watchdog is not served
+    assert board[0xE613] == board[0xE643] == 0  # no loops: the watchdog is not serviced
 
 
-def test_seldom_losses_are_forgiven(board: FakeBoard) -> None:
+def test_rare_wrong_scans_are_tolerated(board: FakeBoard) -> None:
     board.lib.hal_pwm_enable(board.hal, 0, True)
     for _ in range(8):
         board.results(0, {})
@@ -200,7 +200,7 @@ def test_seldom_losses_are_forgiven(board: FakeBoard) -> None:
     assert board[0xE6C0] == 0x0770
 
 
-# ---- loops that were left out ---------------------------------------------------------------------------------------
+# ---- omitted loops -------------------------------------------------------------------------------------------------
 
 PERIOD_STAMPS = 6250 / 128
 
@@ -209,8 +209,8 @@ PERIOD_STAMPS = 6250 / 128
     ("periods", "m2_runs", "pairs"),
     [
         (1, 1, 0),
-        (1, 0, 0),  # the servo notices that M2 has been left out
-        (2, 2, 0),  # and M1
+        (1, 0, 0),  # an omitted M2 is detected by servo.c
+        (2, 2, 0),  # and an omitted M1
         (2, 1, 1),
         (2, 0, 1),
         (3, 2, 1),
@@ -218,8 +218,8 @@ PERIOD_STAMPS = 6250 / 128
         (640, 1, 639),
     ],
 )
-def test_pairs_of_loops_left_out_are_counted(board: FakeBoard, periods: int, m2_runs: int, pairs: int) -> None:
-    """The next M1 comes so many periods after the last one, 0.3 early or late."""
+def test_pairs_of_omitted_loops_are_counted(board: FakeBoard, periods: int, m2_runs: int, pairs: int) -> None:
+    """The next M1 runs `periods` after the last one, 0.3 periods early or late."""
     now = 65500.0
     board[TIME_STAMP] = round(now)
     run_m1(board)
@@ -251,7 +251,7 @@ def test_duties_are_symmetrical_pulses(board: FakeBoard, axis: int) -> None:
 
 
 @pytest.mark.parametrize(("duty", "half"), [(32767, 3125), (21, 2), (32, 3)])
-def test_ends_of_the_duty(board: FakeBoard, duty: int, half: int) -> None:
+def test_duties_of_0_and_100_percent(board: FakeBoard, duty: int, half: int) -> None:
     """100 % is never switched off: VAL3 is beyond the period."""
     board.lib.hal_pwm_duty(board.hal, 0, duty, duty, duty)
     assert signed(board[0xE60B]) == half
@@ -260,13 +260,13 @@ def test_ends_of_the_duty(board: FakeBoard, duty: int, half: int) -> None:
 
 @pytest.mark.parametrize("duty", [0, 1, 15, -1, -32768])
 def test_no_pulse_leaves_the_low_side_on(board: FakeBoard, duty: int) -> None:
-    """VAL2 is out of the counter's reach; VAL3, past a load at 0, ends a pulse that is under way."""
+    """VAL2 is beyond the range of the counter; VAL3, after a load at 0, ends a pulse in progress."""
     board.lib.hal_pwm_duty(board.hal, 0, duty, duty, duty)
     assert signed(board[0xE609]) > 3125
     assert signed(board[0xE60B]) == 2
 
 
-def test_ldok_is_the_last_act(board: FakeBoard) -> None:
+def test_ldok_is_the_last_write(board: FakeBoard) -> None:
     board[0xE6C4] = 0x0700  # loaded
     board.forget()
     board.lib.hal_pwm_duty(board.hal, 0, 1, 2, 3)
@@ -274,7 +274,7 @@ def test_ldok_is_the_last_act(board: FakeBoard) -> None:
     assert [address for address, _ in board.writes].count(0xE6C4) == 1
 
 
-def test_values_that_have_not_been_loaded_are_taken_back(board: FakeBoard) -> None:
+def test_values_that_have_not_been_loaded_are_replaced(board: FakeBoard) -> None:
     """VALx are locked while LDOK is set."""
     board[0xE6C4] = 0x0707
     board.forget()
@@ -300,28 +300,28 @@ def test_a_fault_input_calls_the_break_handler(board: FakeBoard, axis: int) -> N
     board[module + 0xC7] = 0x0111  # flag, pin
     board.isr(FAULT[axis])
     assert servo_calls(board) == [(BREAK, axis)]
-    assert board[module + 0xC6] == 0x3030  # does not ask again
+    assert board[module + 0xC6] == 0x3030  # no repeated request
     assert board.lib.hal_over_current_active(board.hal, axis)
     assert not board.lib.hal_over_current_active(board.hal, 1 - axis)
 
     board.lib.hal_over_current_clear(board.hal, axis)
     assert board[module + 0xC6] == 0x3031
     board[module + 0xC7] = 0x0110
-    assert board.lib.hal_over_current_active(board.hal, axis)  # the comparator still says so
+    assert board.lib.hal_over_current_active(board.hal, axis)  # the comparator is still active
     board[module + 0xC7] = 0x0010
     assert not board.lib.hal_over_current_active(board.hal, axis)
 
 
-def test_clearing_a_break_keeps_the_way_back(board: FakeBoard) -> None:
-    """FFULL stays: without it the outputs would never come back."""
+def test_clearing_an_over_current_keeps_the_restart_condition(board: FakeBoard) -> None:
+    """FFULL stays set: without it the outputs would never be enabled again."""
     board.lib.hal_over_current_clear(board.hal, 0)
     assert board.writes[0] == (0xE6C7, 0x0031)
 
 
-# ---- the rest -------------------------------------------------------------------------------------------------------
+# ---- others ---------------------------------------------------------------------------------------------------------
 
 
-def test_unknown_vectors_do_nothing(board: FakeBoard) -> None:
+def test_unused_vectors_cause_no_access(board: FakeBoard) -> None:
     known = {77, 63, 85, 30, 87, 28, 24, 52}
     assert all(board.isr(vector) == [] for vector in range(111) if vector not in known)
 
@@ -331,10 +331,10 @@ def test_the_watchdog_is_serviced_with_both_words(board: FakeBoard) -> None:
     assert board.writes == [(0xE322, 0x5555), (0xE322, 0xAAAA)]
 
 
-def test_the_loops_read_what_they_need_and_no_more(board: FakeBoard) -> None:
+def test_the_loops_access_registers_no_more_often_than_necessary(board: FakeBoard) -> None:
     """Register accesses cost time in every period."""
     run_m1(board)
-    assert sum(a.kind == READ for a in board.accesses) == 5  # two of them: has a period been left out?
+    assert sum(a.kind == READ for a in board.accesses) == 5  # two of them detect an omitted period
     assert sum(a.kind == WRITE for a in board.accesses) == 3
     run_m2(board)
     assert sum(a.kind == READ for a in board.accesses) == 4

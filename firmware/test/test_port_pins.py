@@ -1,4 +1,4 @@
-"""Switches, enable input and holding brake of the port: which pins and registers, and which level is safe."""
+"""Switches, enable input and holding brake of the port: pins, registers and safe levels."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def test_a_switch_has_its_pin_and_its_safe_level(
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_cut_wires_read_as_the_end_of_the_way_and_as_not_enabled(board: FakeBoard, axis: int) -> None:
-    """All pins are pulled up: a wire that leads nowhere is high."""
+def test_cut_wires_read_as_active_limits_and_not_enabled(board: FakeBoard, axis: int) -> None:
+    """All pins have pull-ups: a cut wire reads high."""
     assert board[GPIO["F"] + PUR] & 0x203F == board[GPIO["F"] + PUS] & 0x203F == 0x203F
     assert board[GPIO["E"] + PUR] & 0x200 == board[GPIO["E"] + PUS] & 0x200 == 0x200
     assert board[GPIO["F"] + DDR] & 0x203F == 0
@@ -47,7 +47,7 @@ def test_cut_wires_read_as_the_end_of_the_way_and_as_not_enabled(board: FakeBoar
 def test_the_enable_input_is_closed_without_its_flag_and_its_pin(
     board: FakeBoard, axis: int, fsts: int, closed: bool
 ) -> None:
-    board[PWM[axis] + FSTS0] = fsts  # the last one: an over-current, which is another fault
+    board[PWM[axis] + FSTS0] = fsts  # last one: an over-current, which is another fault
     assert bool(board.lib.hal_inputs(board.hal, axis) & ENABLE) == closed
     board[PWM[1 - axis] + FSTS0] = 0x0030
     assert board.lib.hal_inputs(board.hal, 1 - axis) & ENABLE
@@ -58,7 +58,7 @@ def test_an_enable_input_in_use_opens_all_switches_of_its_axis(board: FakeBoard,
     board.forget()
     board.lib.hal_enable_input(board.hal, axis, True)
     assert [board[PWM[axis] + 0x30 * sm + DISMAP0] & 0xFF for sm in range(3)] == [0x33] * 3
-    assert board.writes[-1] == (PWM[axis] + FSTS0, 0x0032)  # FFULL stays, its own flag alone is cleared
+    assert board.writes[-1] == (PWM[axis] + FSTS0, 0x0032)  # FFULL stays set; only its own flag is cleared
     assert {address & 0xFF00 for address, _ in board.writes} == {PWM[axis]}
     board.lib.hal_enable_input(board.hal, axis, False)
     assert [board[PWM[axis] + 0x30 * sm + DISMAP0] & 0xFF for sm in range(3)] == [0x11] * 3

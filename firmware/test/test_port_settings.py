@@ -17,14 +17,14 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-# The reference configuration, worked out by hand for a bus of 100 MHz, 16 kHz, 1 us of dead time and 115200 baud.
+# The reference configuration, calculated by hand for a bus of 100 MHz, 16 kHz, 1 us of dead time and 115200 baud.
 REFERENCE = {
     "PWM_PERIOD": 6250,
     "SET_PWM_INIT": 0xF3CB,
     "SET_PWM_VAL1": 0x0C34,
     "SET_PWM_VAL0": 0x0000,
-    "SET_PWM_VAL4": 0xF402,  # 0.5 + 0.2 - 0.15 us behind the low-side centre
-    "SET_PWMA_SM1_VAL5": 0xF47D,  # 55 + 20 + 102.5 clocks behind it
+    "SET_PWM_VAL4": 0xF402,  # 0.5 + 0.2 - 0.15 us after the low-side centre
+    "SET_PWMA_SM1_VAL5": 0xF47D,  # 55 + 20 + 102.5 clocks after the low-side centre
     "SET_PWM_CTRL": 0x0800,
     "SET_PWMA_SM0_CTRL2": 0x0000,
     "SET_PWMA_SM12_CTRL2": 0x0204,
@@ -111,7 +111,7 @@ def test_settings_have_the_reference_values(values: Any) -> None:
 
 
 def test_the_same_values_where_int_has_16_bits(compile_program: CompileProgram, tmp_path: Path) -> None:
-    """Each value is an integer constant expression there too, and no intermediate result overflows."""
+    """Each value is an integer constant expression with 16-bit int, and no intermediate result overflows."""
     source = tmp_path / "sixteen.c"
     checks = "".join(f"SETTINGS_CHECK(is_{name}, {name} == 0x{value:X}UL);\n" for name, value in REFERENCE.items())
     source.write_text(
@@ -138,7 +138,7 @@ def test_the_application_has_the_same_quantities() -> None:
     assert quantity("ENCODER_LINES") == nominal["defaults"]["encoder"]["lines"]
 
 
-# ---- a change of a quantity moves the registers that it should, and no others ---------------------------------------
+# ---- registers that depend on a quantity ----------------------------------------------------------------------------
 
 CARRIER = {"PWM_PERIOD", "START_COUNT", "M1_COUNT", "SAMPLE_COUNT", "SET_PWM_INIT", "SET_PWM_VAL1", "SET_PWM_VAL4"}
 EVENTS = {"SET_PWMA_SM0_VAL5", "SET_PWMA_SM1_VAL5"}
@@ -167,12 +167,12 @@ SCAN = {"START_COUNT", "M1_COUNT", *EVENTS}
         ("SYNC_LATENCY_CLOCKS=3", {"SET_PWMA_SM0_VAL0"}),
     ],
 )
-def test_moves_its_registers(values: Any, define: str, moved: set[str]) -> None:
+def test_a_quantity_changes_its_registers_only(values: Any, define: str, moved: set[str]) -> None:
     before, after = values(), values(define)
     assert {name for name in before if before[name] != after[name]} == moved
 
 
-def test_slower_bus_moves_everything_that_counts_clocks(values: Any) -> None:
+def test_slower_bus_changes_all_registers_in_clocks(values: Any) -> None:
     after = values("BUS_CLOCK_HZ=80000000UL")
     assert after["PWM_PERIOD"] == 5000
     assert after["SET_PWM_DTCNT"] == 80
@@ -200,7 +200,7 @@ def test_half_of_the_bus_clock_needs_the_postscaler(values: Any) -> None:
 
 
 @pytest.mark.parametrize("define", ["PWM_FREQUENCY_HZ=16000UL", "PWM_FREQUENCY_HZ=8000UL", "PWM_FREQUENCY_HZ=20000UL"])
-def test_instants_in_order(values: Any, define: str) -> None:
+def test_sampling_instants_are_in_order(values: Any, define: str) -> None:
     found = values(define)
     half = found["PWM_PERIOD"] // 2
     conversions = (8.5 + 6 + 6) * 5  # bus clocks
@@ -210,7 +210,7 @@ def test_instants_in_order(values: Any, define: str) -> None:
     assert motor_2_done < found["START_COUNT"] < half - 500
 
 
-# ---- what the hardware cannot do ------------------------------------------------------------------------------------
+# ---- impossible quantities -----------------------------------------------------------------------------------------
 
 
 def compile_errors(tmp_path: Path, defines: Sequence[str]) -> str:
@@ -259,5 +259,5 @@ def test_impossible_quantities_do_not_compile(tmp_path: Path, define: str, check
     assert f"check_{check}" in compile_errors(tmp_path, [define])
 
 
-def test_reference_configuration_compiles_without_a_word(tmp_path: Path) -> None:
+def test_reference_configuration_compiles_without_a_warning(tmp_path: Path) -> None:
     assert compile_errors(tmp_path, []) == ""

@@ -1,4 +1,4 @@
-"""Start of the MC56F84789 port: what port_init leaves in the registers, and in what order it gets there."""
+"""Start of the MC56F84789 port: registers after port_init, and the order of the accesses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def board(compile_c: CompileC) -> FakeBoard:
 
 
 def first(board: FakeBoard, address: int, value: int | None = None) -> int:
-    """Place in the list of the first write to a register (of a value)."""
+    """Index of the first write to a register (of a value)."""
     for place, access in enumerate(board.accesses):
         if access.kind == WRITE and access.address == address and value in (None, access.value):
             return place
@@ -24,7 +24,7 @@ def last(board: FakeBoard, address: int) -> int:
     return max(place for place, access in enumerate(board.accesses) if access[:2] == (WRITE, address))
 
 
-# ---- what stands in the registers afterwards ------------------------------------------------------------------------
+# ---- registers after the start --------------------------------------------------------------------------------------
 
 PWM_SM = {
     0x01: (0xF3CB, 0xF3CB, 0xF3CB),
@@ -54,8 +54,8 @@ def test_start_up_sets_the_pwm_submodules(board: FakeBoard, axis: int, ctrl2: tu
         assert high == 3125 // 2
 
 
-def test_only_the_start_interrupt_waits(board: FakeBoard) -> None:
-    """Neither motor's sample nor M1 is on before the one-shot interrupt (DRM 4.3.3)."""
+def test_only_the_start_interrupt_is_enabled(board: FakeBoard) -> None:
+    """Sampling and M1 are off until the one-shot start interrupt (DRM 4.3.3)."""
     inten = {(axis, sm): board[PWM[axis] + 0x30 * sm + 0x13] for axis in (0, 1) for sm in range(3)}
     tctrl = {(axis, sm): board[PWM[axis] + 0x30 * sm + 0x15] for axis in (0, 1) for sm in range(3)}
     assert {place: value for place, value in inten.items() if value} == {(0, 0): 0x20}
@@ -113,11 +113,11 @@ def test_start_up_sets_the_interrupt_levels(board: FakeBoard) -> None:
         if board[0xE300 + (v - 9) // 8] >> 2 * ((v - 9) % 8) & 3
     }
     assert codes == {77: 3, 63: 3, 85: 2, 30: 2, 87: 2, 28: 1, 24: 1, 52: 3}
-    assert board[0xE302] >> 10 & 3 == 2  # where the manual has ADC_CC0
-    assert board[0xE309] >> 8 & 3 == 2  # and PWMA_CMP1
+    assert board[0xE302] >> 10 & 3 == 2  # ADC_CC0 in the manual
+    assert board[0xE309] >> 8 & 3 == 2  # PWMA_CMP1
 
 
-def test_clock_serial_watchdog(board: FakeBoard) -> None:
+def test_start_up_sets_clock_serial_line_and_watchdog(board: FakeBoard) -> None:
     assert (board[0xE2B0], board[0xE2B1]) == (0x0085, 0x2031)
     assert board[0xE2B4] & 0x97FF == 0x0155  # trimmed, internal oscillator on, crystal
     assert board[0xE2B5] & 0x7C00 == 0x2800
@@ -163,7 +163,7 @@ def test_watchdog_stops_first_and_starts_locked_at_the_end(board: FakeBoard) -> 
     assert last(board, 0xE321) < last(board, 0xE320)
 
 
-def test_interrupts_come_last(board: FakeBoard) -> None:
+def test_interrupts_are_enabled_last(board: FakeBoard) -> None:
     assert board.accesses[-1].kind == INTERRUPTS
 
 
@@ -176,7 +176,7 @@ def test_the_clock_is_switched_to_a_locked_pll_only(board: FakeBoard) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_pwm_runs_after_everything_else_is_set(board: FakeBoard, axis: int) -> None:
-    """Outputs off, values, LDOK, FORCE, faults, RUN; a pin is the PWM's only when its outputs are off."""
+    """Outputs off, values, LDOK, FORCE, faults, RUN; pins are assigned to the PWM when its outputs are off."""
     module = PWM[axis]
     force = first(board, module + 0x02, board[module + 0x02])
     values = max(last(board, module + 0x30 * sm + offset) for sm in range(3) for offset in (1, 5, 7, 9, 0xB, 0xD))
@@ -202,7 +202,7 @@ def test_adc_is_powered_before_it_is_released(board: FakeBoard) -> None:
     assert first(board, 0xE54E) < first(board, 0xE500, 0x1805)
 
 
-# ---- what does not come up ------------------------------------------------------------------------------------------
+# ---- failed start ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("stuck", "value"), [(0xE2B2, 0x0003)])
@@ -212,4 +212,4 @@ def test_without_clock_nothing_is_switched_on(compile_c: CompileC, stuck: int, v
     assert not board.init()
     touched = {address for address, _ in board.writes}
     assert touched <= {0xE320, 0xE321, 0xE2B0, 0xE2B4, 0xE2B5}
-    assert board[0xE320] == 0x0303  # the watchdog tries again
+    assert board[0xE320] == 0x0303  # the watchdog restarts the chip

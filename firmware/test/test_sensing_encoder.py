@@ -23,7 +23,7 @@ POLE_PAIRS = st.integers(1, 50)
 
 
 def other_config(core: Core, lines: int, pole_pairs: int) -> Any:
-    """Any encoder on any motor, as the configuration tool would describe it."""
+    """Configuration of any encoder on any motor, as computed by the tuning tool."""
     return core.ffi.new("encoder_config_t *", (4 * lines, pole_pairs, min(nearest(2**32, 4 * lines), 2**32 - 1)))
 
 
@@ -42,7 +42,7 @@ class Encoder:
         self._lib.encoder_reset(self.c, self.timer.raw, self.timer.index)
 
     def update(self, edges: int = 0) -> bool:
-        """Turn the shaft, then sample as a slow loop does."""
+        """Move the shaft, then sample as in a slow loop."""
         self.timer.move(edges)
         return bool(self._lib.encoder_update(self.c, self._config, self.timer.raw, self.timer.index))
 
@@ -57,7 +57,7 @@ class Encoder:
 @given(lines=LINES, pole_pairs=POLE_PAIRS, count=I16)
 @settings(max_examples=300)
 def test_angles_of_any_encoder(core: Core, lines: int, pole_pairs: int, count: int) -> None:
-    """Half an LSB, and what is left of the constant: half of 2^-16 LSB per count and pole pair."""
+    """Half an LSB, plus the rounding of the constant: half of 2^-16 LSB per count and pole pair."""
     config = other_config(core, lines, pole_pairs)
     constant = abs(count) / 2**17
     exact = count * 65536 / (4 * lines)
@@ -72,7 +72,7 @@ def test_angles_of_any_encoder(core: Core, lines: int, pole_pairs: int, count: i
 @given(lines=LINES, pole_pairs=POLE_PAIRS, theta=I16)
 @settings(max_examples=300)
 def test_count_at_any_angle(core: Core, lines: int, pole_pairs: int, theta: int) -> None:
-    """The nearest count; a quotient that is cut off 2^-16 before a half rounds the other way."""
+    """The nearest count; a quotient truncated by less than 2^-16 below a half is rounded down."""
     config = other_config(core, lines, pole_pairs)
     count = core.lib.encoder_count_at(config, theta)
     assert abs(count - theta * 4 * lines / (65536 * pole_pairs)) <= 0.5 + 2**-16
@@ -84,8 +84,8 @@ def test_count_at_any_angle(core: Core, lines: int, pole_pairs: int, theta: int)
 
 @given(data=st.data(), lines=LINES)
 @settings(max_examples=300)
-def test_difference_is_the_short_way(core: Core, data: st.DataObject, lines: int) -> None:
-    """Exactly, over all pairs of counts of any encoder; just half a turn keeps its sign."""
+def test_difference_is_the_shorter_distance(core: Core, data: st.DataObject, lines: int) -> None:
+    """Exact for all pairs of counts of any encoder; exactly half a revolution keeps its sign."""
     counts = 4 * lines
     at = edges(-counts + 1, counts - 1)
     count, previous = data.draw(at), data.draw(at)
@@ -96,9 +96,9 @@ def test_difference_is_the_short_way(core: Core, data: st.DataObject, lines: int
         assert moved == count - previous
 
 
-def test_touch_and_turn_back(core: Core, config: Any) -> None:
-    """The index pulse comes with the compare value, one count before the reload: a shaft that turns back there has
-    not begun a new turn, and the next wrap, downwards, counts one down."""
+def test_reversal_at_the_compare_value_counts_no_revolution(core: Core, config: Any) -> None:
+    """The index pulse is at the compare value, one count before the reload: a shaft that reverses there has
+    not begun a new revolution, and the next wrap downwards counts one down."""
     encoder = Encoder(core, config)
     for _ in range(2):
         encoder.update(1999)
@@ -111,12 +111,12 @@ def test_touch_and_turn_back(core: Core, config: Any) -> None:
     assert encoder.c.position == -1
     for _ in range(3):
         assert encoder.update(-1333)
-    assert encoder.timer.index == 2  # at -3999 minus the turn that went by
+    assert encoder.timer.index == 2  # at -3999 minus one revolution
     assert encoder.update(-1)
     assert encoder.c.position == encoder.timer.shaft
 
 
-def test_dithering_on_the_compare_value(core: Core, config: Any) -> None:
+def test_dithering_on_the_compare_value_counts_no_revolution(core: Core, config: Any) -> None:
     encoder = Encoder(core, config)
     encoder.update(1999)
     encoder.update(1999)
@@ -127,10 +127,8 @@ def test_dithering_on_the_compare_value(core: Core, config: Any) -> None:
 
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("back", [1, 2, 5])
-def test_a_shaft_that_turns_back_over_the_reload_keeps_its_turn(
-    core: Core, config: Any, direction: int, back: int
-) -> None:
-    """Between two samples: it is where it was before, or behind that, but the counter has been reloaded."""
+def test_a_reversal_across_the_reload_keeps_the_revolutions(core: Core, config: Any, direction: int, back: int) -> None:
+    """Between two samples the shaft reverses to or behind its old position, but the counter has been reloaded."""
     encoder = Encoder(core, config)
     for moved in (1999, 1999, 1):
         assert encoder.update(direction * moved)
@@ -152,7 +150,7 @@ def test_missing_index_pulse_is_found_at_the_wrap(core: Core, config: Any, direc
 
 
 def test_stale_pulse_does_not_hide_a_missing_one(core: Core, config: Any) -> None:
-    """Touch the compare value, turn back past half a turn, lose the pulse of the real wrap."""
+    """Reach the compare value, reverse by more than half a revolution, lose the pulse of the real wrap."""
     encoder = Encoder(core, config)
     encoder.update(1999)
     encoder.update(1999)
@@ -166,8 +164,8 @@ def test_stale_pulse_does_not_hide_a_missing_one(core: Core, config: Any) -> Non
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_pulse_is_forgotten_at_half_a_turn(core: Core, config: Any, way: int) -> None:
-    """As soon as the shaft is nearer to the middle of its turn than to a compare value, in both directions."""
+def test_pulse_is_discarded_at_half_a_revolution(core: Core, config: Any, way: int) -> None:
+    """The pulse is discarded when the shaft is closer to half a revolution than to a compare value."""
     for count, kept in ((2000, 1), (1999, 0), (1, 0), (0, 0)):
         encoder = core.ffi.new("encoder_t *")
         core.lib.encoder_reset(encoder, (way * (count + 1)) & 0xFFFF, 0)
@@ -176,7 +174,7 @@ def test_pulse_is_forgotten_at_half_a_turn(core: Core, config: Any, way: int) ->
         assert encoder.pending == kept
 
 
-def test_resync_takes_the_differences(core: Core, config: Any) -> None:
+def test_resync_adopts_the_differences(core: Core, config: Any) -> None:
     encoder = Encoder(core, config)
     encoder.timer.index_works = False
     for _ in range(41):
@@ -223,7 +221,7 @@ def test_any_motion_keeps_the_position(core: Core, config: Any, start: int, move
 @given(presets=st.lists(st.tuples(st.integers(-5000, 5000), st.integers(-1000, 1000)), min_size=1, max_size=6))
 @settings(max_examples=60)
 def test_preset_keeps_the_position(core: Core, config: Any, presets: Sequence[tuple[int, int]]) -> None:
-    """A new alignment writes the counter; turns and position survive it (E41)."""
+    """A new alignment writes the counter; revolutions and position are kept (E41)."""
     encoder = Encoder(core, config)
     for distance, count in presets:
         for move in [distance // 4] * 4:
@@ -289,7 +287,7 @@ class Model:
 def test_agrees_with_integers_in_every_bit(
     core: Core, data: st.DataObject, lines: int, index: int, far: tuple[int, ...], actions: list[str]
 ) -> None:
-    """Any counts and index pulses, from anywhere, over the wrap of 32 bits too."""
+    """Any counts and index pulses from any start, also across the wrap of 32 bits."""
     counts, config, c = 4 * lines, other_config(core, lines, 1), core.ffi.new("encoder_t *")
     at = edges(-counts + 1, counts - 1)
     start = data.draw(at)
@@ -316,7 +314,7 @@ def test_agrees_with_integers_in_every_bit(
         assert now == model.state
 
 
-def test_reset_forgets_everything(core: Core) -> None:
+def test_reset_clears_the_state(core: Core) -> None:
     c = core.ffi.new("encoder_t *", (1, 2, 3, 4, 5, 6, 7))
     core.lib.encoder_reset(c, 0xF061, 9)
     assert (c.count, c.index, c.pending, c.turns, c.position, c.integral) == (0xF061, 9, 0, 0, 0, 0)

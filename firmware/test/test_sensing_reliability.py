@@ -1,4 +1,4 @@
-"""Mean and variance of 64 speeds against exact fractions, the back-EMF check, and the rotor that only swings."""
+"""Mean and variance of 64 speeds against exact fractions, back-EMF check, oscillating rotor."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Reliability:
     threshold=st.integers(0, 65535),
     near=st.booleans(),
 )
-def test_criterion_is_exact(core: Core, speeds: list[int], threshold: int, near: bool) -> None:
+def test_reliability_criterion_is_exact(core: Core, speeds: list[int], threshold: int, near: bool) -> None:
     if near:
-        speeds = [9000 + speed // 8 for speed in speeds]  # where the criterion may hold
+        speeds = [9000 + speed // 8 for speed in speeds]  # range in which the criterion may be met
     r = Reliability(core, threshold)
     for speed in speeds:
         r.add(speed)
@@ -58,7 +58,7 @@ def test_criterion_is_exact(core: Core, speeds: list[int], threshold: int, near:
     assert r.mean == mean * 65536
 
 
-def test_nothing_holds_before_64_speeds(core: Core) -> None:
+def test_criterion_is_not_met_before_64_speeds(core: Core) -> None:
     r = Reliability(core)
     for k in range(SIZE):
         assert not r.holds
@@ -68,13 +68,13 @@ def test_nothing_holds_before_64_speeds(core: Core) -> None:
     assert r.state.failures == 0
 
 
-def test_one_speed_per_period(core: Core) -> None:
+def test_one_speed_is_sampled_per_period(core: Core) -> None:
     r = Reliability(core, period=3)
     assert [r.add(5000) for _ in range(9)] == 3 * [False, False, True]
     assert r.state.filled == 3
 
 
-def test_failures_in_a_row(core: Core) -> None:
+def test_consecutive_failures_are_counted_and_saturate(core: Core) -> None:
     r = Reliability(core)
     for _ in range(SIZE):
         r.add(5000)
@@ -107,7 +107,7 @@ def turned(volts: float, degrees: float) -> complex:
 
 
 @pytest.mark.parametrize("volts", [3.0, -3.0, 10.0])
-def test_back_emf_tells_a_wrong_angle(core: Core, volts: float) -> None:
+def test_back_emf_check_detects_a_wrong_angle(core: Core, volts: float) -> None:
     assert not deviates(core, turned(volts, 0.0), volts)
     assert not deviates(core, turned(volts, 20.0), volts)
     assert not deviates(core, turned(volts, -20.0), volts)
@@ -115,13 +115,13 @@ def test_back_emf_tells_a_wrong_angle(core: Core, volts: float) -> None:
         assert deviates(core, turned(volts, degrees), volts)
 
 
-def test_back_emf_tells_a_wrong_size(core: Core) -> None:
+def test_back_emf_check_detects_a_wrong_amplitude(core: Core) -> None:
     assert deviates(core, turned(1.0, 0.0), 3.0)
-    assert deviates(core, turned(3.0, 0.0), 0.0), "the motor turns unnoticed"
-    assert not deviates(core, turned(2.5, 0.0), 3.0), "a magnet that is hot"
+    assert deviates(core, turned(3.0, 0.0), 0.0), "rotation without an observed speed"
+    assert not deviates(core, turned(2.5, 0.0), 3.0), "a hot magnet"
 
 
-def test_a_wrong_resistance_is_tolerated_with_its_current(core: Core) -> None:
+def test_resistance_error_is_tolerated_in_proportion_to_the_current(core: Core) -> None:
     off = turned(0.5 * 0.55 * 3.0, 0.0)
     assert deviates(core, off, 0.0)
     assert not deviates(core, off, 0.0, 3.0)
@@ -129,7 +129,7 @@ def test_a_wrong_resistance_is_tolerated_with_its_current(core: Core) -> None:
 
 
 def lacks(core: Core, emf: float, expected: float, ticks: int) -> bool:
-    """After so many slow ticks of an observed back-EMF, by what a start-up wants to have seen."""
+    """Whether the back-EMF is missing after `ticks` slow ticks, by the criterion of the start-up."""
     config = core.ffi.addressof(core.lib.probe_config().axis[0], "emf_check")
     check = core.ffi.new("emf_check_t *")
     core.lib.emf_check_reset(check)
@@ -141,13 +141,13 @@ def lacks(core: Core, emf: float, expected: float, ticks: int) -> bool:
 
 
 @pytest.mark.parametrize("volts", [0.4, -0.4, 1.0, 3.0])
-def test_no_back_emf_is_none_however_low_the_speed(core: Core, volts: float) -> None:
-    assert deviates(core, 0j, volts, 2.0) == (abs(volts) > 2.0), "a running axis has to tolerate more"
+def test_missing_back_emf_is_detected_at_every_speed(core: Core, volts: float) -> None:
+    assert deviates(core, 0j, volts, 2.0) == (abs(volts) > 2.0), "a running axis tolerates more"
     assert lacks(core, 0.1 * volts, volts, ticks=64)
     assert not lacks(core, 0.8 * volts, volts, ticks=64)
 
 
-def test_deviation_has_to_last(core: Core) -> None:
+def test_deviation_is_confirmed_after_some_ticks(core: Core) -> None:
     check = core.ffi.new("emf_check_t *")
     core.lib.emf_check_reset(check)
     assert [core.lib.emf_check_confirmed(check, True, 3) for _ in range(4)] == [False, False, False, True]
@@ -156,7 +156,7 @@ def test_deviation_has_to_last(core: Core) -> None:
     assert check.ticks == 0
 
 
-# ---- the known blind spot of the criterion (ST slide "转子堵转检测") ------------------------------------------
+# ---- oscillation not detected by the criterion (ST slide "转子堵转检测") ------------------------------------------
 
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
@@ -167,7 +167,7 @@ def test_an_oscillating_rotor_is_detected_by_the_back_emf_but_not_by_the_varianc
     each other, the slide's PLL follows one of them, at a speed that hardly varies, but would need far more of it."""
     rig = Rig(core)
     it = rig.estimator
-    it.leave_size_out()
+    it.ignore_amplitude()
     it.start(0.0, swing)
     reliability = Reliability(core)
     smooth = core.ffi.new("emf_check_t *")
@@ -189,13 +189,13 @@ def test_an_oscillating_rotor_is_detected_by_the_back_emf_but_not_by_the_varianc
         accepted += reliability.holds
         seen += bool(core.lib.emf_check_deviates(config, config.floor_spin, there, expected, 0))
     assert abs(reliability.mean) / 2**31 * FULL_SPEED * PAIRS == pytest.approx(swing, rel=0.25)
-    assert accepted > 0.9 * (ticks - SIZE), "the criterion alone takes it for a shaft that turns"
+    assert accepted > 0.9 * (ticks - SIZE), "the criterion alone accepts it as rotation"
     assert seen > 0.8 * ticks, "the back-EMF does not fit"
 
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
 def test_an_oscillating_rotor_has_a_mean_observed_speed_near_zero(core: Core, amplitude: float, swing: float) -> None:
-    """The mean speed is next to nothing, which is what counts as standing (sensorless_estimate.c)."""
+    """The mean speed is almost zero, the condition of standstill (sensorless_estimate.c)."""
     rig = Rig(core)
     it = rig.estimator
     it.start(0.0, swing)
@@ -207,7 +207,7 @@ def test_an_oscillating_rotor_has_a_mean_observed_speed_near_zero(core: Core, am
     assert abs(reliability.mean) / 2**31 * FULL_SPEED * PAIRS < 0.1 * swing
 
 
-def test_a_rotor_that_turns_passes_both(core: Core) -> None:
+def test_a_rotating_rotor_passes_both_criteria(core: Core) -> None:
     rig = Rig(core)
     it = rig.estimator
     it.start(0.0, 60.0)

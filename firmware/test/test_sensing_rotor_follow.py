@@ -1,4 +1,4 @@
-"""Does the rotor follow a turning vector? The flux linkage across it tells, without the encoder."""
+"""Detection of a rotor that follows a rotating vector by the flux linkage across it, without the encoder."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FULL_VOLTAGE = 24.2  # V
 PERIOD = 62.5e-6  # s
 PERIODS = 8  # per slow tick
 FRAC16 = st.integers(-32768, 32767)
-PSI, INDUCTANCE, CURRENT = (0.0154, 0.0138), (0.4575e-3, 0.402e-3), 4.0  # what servo.toml says of the two axes
+PSI, INDUCTANCE, CURRENT = (0.0154, 0.0138), (0.4575e-3, 0.402e-3), 4.0  # values of the two axes in servo.toml
 
 
 def config_of(core: Core, axis: int = 0) -> Any:
@@ -35,7 +35,7 @@ def raw(volts: float) -> int:
 def turn(
     core: Core, axis: int, follows: float, offset: float = 0.0, noise: float = 0.0, inductance: float = 1.0
 ) -> Any:
-    """A whole turn there and back; the rotor makes `follows` of the vector's angle [V offset and noise]."""
+    """A full rotation in both directions; the rotor follows by the fraction `follows` [V offset and noise]."""
     config, follow, draw = config_of(core, axis), started(core), random.Random(axis)
     done = False
     while not done:
@@ -50,7 +50,7 @@ def turn(
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_constants_are_those_of_the_motor(core: Core, axis: int) -> None:
-    """120 degrees in 0.1 s; three tenths of the flux that a rotor changes which follows."""
+    """120 degrees in 0.1 s; threshold 0.3 of the flux change of a following rotor."""
     config = config_of(core, axis)
     angle = config.step * config.ticks / 65536 * 360
     assert config.ticks * PERIODS * PERIOD == pytest.approx(0.1)
@@ -62,7 +62,7 @@ def test_constants_are_those_of_the_motor(core: Core, axis: int) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_vector_turns_and_comes_back(core: Core, axis: int) -> None:
+def test_vector_rotates_in_both_directions(core: Core, axis: int) -> None:
     config = config_of(core, axis)
     for theta in (0, 20000, 32767, -32768):
         follow = started(core, theta)
@@ -75,7 +75,7 @@ def test_vector_turns_and_comes_back(core: Core, axis: int) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_tells_a_held_rotor_from_one_that_follows(core: Core, axis: int) -> None:
+def test_a_blocked_rotor_is_distinguished_from_a_following_one(core: Core, axis: int) -> None:
     config = config_of(core, axis)
     assert not core.lib.rotor_follow_seen(turn(core, axis, 0.0), config)
     assert core.lib.rotor_follow_seen(turn(core, axis, 1.0), config)
@@ -83,11 +83,11 @@ def test_tells_a_held_rotor_from_one_that_follows(core: Core, axis: int) -> None
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_an_error_of_a_fifth_of_the_flux_changes_no_verdict(core: Core, axis: int, sign: float) -> None:
-    """An offset, a wrong inductance or noise may look like a fifth of the flux; three fifths are more than enough."""
+def test_an_error_of_a_fifth_of_the_flux_does_not_change_the_result(core: Core, axis: int, sign: float) -> None:
+    """Errors by offset, inductance or noise of up to 0.2 of the flux do not matter; 0.6 of it is sufficient."""
     config = config_of(core, axis)
     flux = PSI[axis] * math.radians(120.0)
-    offset = sign * 0.2 * flux / (2 * config.ticks * PERIODS * PERIOD)  # grows on the way there and on the way back
+    offset = sign * 0.2 * flux / (2 * config.ticks * PERIODS * PERIOD)  # increases in both directions
     wrong_inductance = 1.0 + sign * 0.2 * PSI[axis] / (INDUCTANCE[axis] * CURRENT)
     assert not core.lib.rotor_follow_seen(turn(core, axis, 0.0, offset=offset, noise=0.2), config)
     assert not core.lib.rotor_follow_seen(turn(core, axis, 0.0, inductance=wrong_inductance), config)
@@ -95,8 +95,8 @@ def test_an_error_of_a_fifth_of_the_flux_changes_no_verdict(core: Core, axis: in
     assert core.lib.rotor_follow_seen(turn(core, axis, 1.0, offset=offset), config)
 
 
-def test_inductance_is_taken_away(core: Core) -> None:
-    """What any rotor needs leaves less than a fiftieth of what a rotor that follows would."""
+def test_inductive_voltage_is_subtracted(core: Core) -> None:
+    """The inductive voltage leaves less than 2 % of the flux change of a following rotor."""
     follow = turn(core, 0, 0.0)
     assert follow.high - follow.low < config_of(core).flux_min / 15
 
@@ -118,7 +118,7 @@ def test_sum_and_extremes_are_exact(core: Core, periods: list[tuple[int, bool]])
 
 @pytest.mark.parametrize("voltage", [-32768, 32767])
 def test_extremes_of_the_flux_saturate_at_32_bits(core: Core, voltage: int) -> None:
-    """Longer than any turn can last: the sum stays within 32 bits, and the span is compared in more."""
+    """Longer than any rotation: the sum stays within 32 bits, and the span is compared with more bits."""
     config, follow = config_of(core), started(core)
     for extreme in (voltage, -1 - voltage):
         for _ in range(70000):

@@ -1,4 +1,4 @@
-"""Initial rotor position of a shaft that a brake holds and a load pulls, on a shaft with friction."""
+"""Initial rotor position of a shaft with a holding brake, a load and friction."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ K_T = (0.0462, 0.0414)  # N m/A
 FIELDS = ("inertia", "friction", "psi", "resistance")
 SHAFTS = ((0.8e-5, 2e-3, 0.0154, 0.55), (1.2e-5, 1.5e-3, 0.0138, 0.45))
 OPEN_TIME = 0.03  # s, of the brake
-FRICTION_ANGLE = 4.0  # electrical degrees: of both currents, 2e-3 N m over 0.185 and 0.092 N m, and counts
+FRICTION_ANGLE = (
+    4.0  # electrical degrees: friction 2e-3 N m relative to 0.185 and 0.092 N m of both currents, and counts
+)
 
 
 class Result(NamedTuple):
     phase: int
-    error: float  # electrical degrees between what was found and where the shaft is
-    seconds: float
-    travel: float  # rad, farthest from where the brake held the shaft
-    across: float  # A, that is said to hold the load
+    error: float  # error of the found angle [electrical degrees]
+    seconds: float  # duration of the search [s]
+    travel: float  # rad, largest distance from the position held by the brake
+    across: float  # A, current found to hold the load
 
 
 def search(core: Core, axis: int, degrees: float, load: float = 0.0, *, locked: bool = False, **changes: Any) -> Result:
-    """Search until it ends; the brake needs its time to open, and opens when it is asked to."""
+    """Search until it ends; the brake opens with its delay when it is commanded."""
     config = core.lib.probe_config().axis[axis]
     data = dict(zip(FIELDS, SHAFTS[axis], strict=True))
     shaft = Shaft(math.radians(degrees), **(data | changes), load=load)
@@ -53,8 +55,8 @@ def search(core: Core, axis: int, degrees: float, load: float = 0.0, *, locked: 
 
 @pytest.mark.parametrize("part", [0.0, 0.1, -0.25, 0.4])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_found_under_load_from_every_angle(core: Core, axis: int, part: float) -> None:
-    """Loads in parts of the search's torque: within the friction, and the load's current is known."""
+def test_rotor_is_found_under_load_from_every_angle(core: Core, axis: int, part: float) -> None:
+    """Loads relative to the torque of the search: error within the friction, and the load current is found."""
     load = part * K_T[axis] * SEARCH_CURRENT
     for degrees in range(-180, 180, 15):
         result = search(core, axis, degrees, load)
@@ -67,7 +69,7 @@ def test_found_under_load_from_every_angle(core: Core, axis: int, part: float) -
 
 @pytest.mark.parametrize("inertia", [0.5, 2.0, 3.0])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_found_with_another_inertia_than_nominal(core: Core, axis: int, inertia: float) -> None:
+def test_rotor_is_found_with_another_inertia_than_nominal(core: Core, axis: int, inertia: float) -> None:
     for degrees in range(-170, 180, 20):
         result = search(core, axis, degrees, 0.02, inertia=inertia * SHAFTS[axis][0])
         assert result.phase == FOUND, degrees
@@ -76,8 +78,8 @@ def test_found_with_another_inertia_than_nominal(core: Core, axis: int, inertia:
 
 @pytest.mark.parametrize("friction", [0.1, 0.5, 4.0])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_found_with_another_friction_than_usual(core: Core, axis: int, friction: float) -> None:
-    """The error is the friction's of both currents, at most."""
+def test_rotor_is_found_with_another_friction_than_usual(core: Core, axis: int, friction: float) -> None:
+    """The error is at most that of the friction at both currents."""
     torque = friction * SHAFTS[axis][1]
     maximum = FRICTION_ANGLE + 3.0 * math.degrees(torque / (K_T[axis] * SEARCH_CURRENT))
     for degrees in range(-170, 180, 20):
@@ -87,18 +89,18 @@ def test_found_with_another_friction_than_usual(core: Core, axis: int, friction:
 
 
 def test_a_load_beyond_half_the_torque_ends_the_search(core: Core) -> None:
-    """It falls an eighth of an electrical turn, and what comes until the next tick."""
+    """The load drops by at most an eighth of an electrical revolution plus one tick."""
     for degrees in range(-180, 180, 30):
         result = search(core, 0, degrees, 0.11)
         assert result.phase == HELD, degrees
 
 
 @pytest.mark.parametrize("degrees", [-100, 0, 80])
-def test_a_shaft_that_the_brake_does_not_release_is_held(core: Core, degrees: int) -> None:
+def test_a_shaft_that_the_brake_does_not_release_ends_in_held(core: Core, degrees: int) -> None:
     assert search(core, 0, degrees, locked=True).phase == HELD
 
 
-def test_an_encoder_that_counts_nothing_is_held(core: Core) -> None:
+def test_an_encoder_that_does_not_count_ends_in_held(core: Core) -> None:
     assert search(core, 0, 30.0, counted=False).phase == HELD
 
 
@@ -119,7 +121,7 @@ def test_the_brake_opens_with_the_full_current(core: Core) -> None:
     assert s.current == config.rotor_search.current_limit << 16
 
 
-def test_no_current_ends_the_search(core: Core) -> None:
+def test_missing_current_ends_the_search(core: Core) -> None:
     config = core.lib.probe_config().axis[0]
     s: Any = core.ffi.new("rotor_search_t *")
     reference = core.ffi.addressof(config.rotor_search)

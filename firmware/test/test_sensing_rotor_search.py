@@ -24,17 +24,17 @@ PERIODS = 8  # PWM periods per slow tick
 
 class Result(NamedTuple):
     phase: int
-    error: float  # electrical degrees between what was found and where the shaft is
+    error: float  # error of the found angle [electrical degrees]
     searches: int
-    seconds: float
+    seconds: float  # duration of the search [s]
     currents: list[float]  # A, one per slow tick
-    vectors: list[float]  # degrees, one per vector tried
+    vectors: list[float]  # degrees, one per vector
     travel: int  # counts between the outermost positions
     twitch: int  # counts, the longest movement of one vector until the shaft rests
 
 
 def axis_shaft(axis: int, degrees: float, **changes: Any) -> Shaft:
-    """Shaft that the configuration of an axis was made for."""
+    """Shaft with the nominal values of an axis."""
     data: dict[str, Any] = {"inertia": 0.8e-5, "friction": 2e-3, "psi": 0.0154, "resistance": 0.55}
     if axis == 1:
         data = {"inertia": 1.2e-5, "friction": 1.5e-3, "psi": 0.0138, "resistance": 0.45}
@@ -44,7 +44,7 @@ def axis_shaft(axis: int, degrees: float, **changes: Any) -> Shaft:
 def search(
     core: Core, shaft: Shaft, axis: int = 0, timeout: float = 5.0, each_tick: Callable[[Any], None] | None = None
 ) -> Result:
-    """Search until it ends; `each_tick` may change the shaft under way."""
+    """Search until it ends; `each_tick` may change the shaft during the search."""
     config = core.ffi.addressof(core.lib.probe_config().axis[axis].rotor_search)
     s: Any = core.ffi.new("rotor_search_t *")
     core.lib.rotor_search_start(s, shaft.counts)
@@ -84,7 +84,7 @@ def search(
 
 
 class Stepped:
-    """A search by itself, with the configuration of the first axis."""
+    """A search without a shaft model, with the configuration of the first axis."""
 
     def __init__(self, core: Core, origin: int = 0) -> None:
         self.lib = core.lib
@@ -97,7 +97,7 @@ class Stepped:
             self.lib.rotor_search_step(self.state, self.config, position)
 
     def until(self, phase: int, position: int = 0, maximum: int = 500) -> None:
-        """So many slow ticks at one position at most."""
+        """At most `ticks` slow ticks at one position, until a phase."""
         for _ in range(maximum):
             if self.state.phase == phase:
                 return
@@ -114,7 +114,7 @@ class Stepped:
             self.step(position)
 
     def ticks(self, positions: Callable[[int], int]) -> int:
-        """Slow ticks that the phase lasts."""
+        """Duration of the phase [slow ticks]."""
         phase = self.state.phase
         for tick in range(100_000):
             if self.state.phase != phase:
@@ -130,7 +130,7 @@ def stepped(core: Core) -> Stepped:
 
 @pytest.mark.parametrize("degrees", range(-180, 180, 15))
 @pytest.mark.parametrize("axis", [0, 1])
-def test_from_every_15_degrees(core: Core, degrees: int, axis: int) -> None:
+def test_rotor_is_found_from_every_15_degrees(core: Core, degrees: int, axis: int) -> None:
     """Found within half a degree and 0.6 s, in eight searches at most."""
     result = search(core, axis_shaft(axis, degrees), axis)
     assert result.phase == FOUND
@@ -140,8 +140,8 @@ def test_from_every_15_degrees(core: Core, degrees: int, axis: int) -> None:
     assert max(map(abs, result.currents)) <= 4.0 + 1e-3
 
 
-def test_experiment_of_f16(core: Core) -> None:
-    """From 30 degrees: theta_M goes 0, then back up between the bounds; eight searches, done within 1.2 s."""
+def test_vectors_of_f16_are_reproduced(core: Core) -> None:
+    """From 30 degrees: theta_M is 0, then increases between the bounds; eight searches within 1.2 s."""
     result = search(core, Shaft(30.0 * DEGREE))
     assert result.phase == FOUND
     assert result.vectors[0] == 0.0
@@ -154,9 +154,9 @@ def test_experiment_of_f16(core: Core) -> None:
 @pytest.mark.parametrize("friction", [0.0, 0.1, 1.0])
 @pytest.mark.parametrize("inertia", [0.3, 1.0, 10.0])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_shaft_hardly_moves(core: Core, axis: int, inertia: float, friction: float) -> None:
-    """A twitch takes the counts that it is seen by, as many for the brake, and what comes in a slow tick or two,
-    whatever the inertia, and without any friction."""
+def test_movement_of_the_search_is_small(core: Core, axis: int, inertia: float, friction: float) -> None:
+    """A movement takes the counts of its detection, as many for braking, and those of one or two slow ticks,
+    at any inertia and without friction."""
     seen = core.lib.probe_config().axis[axis].rotor_search.move_counts
     for degrees in range(-170, 180, 20):
         nominal = axis_shaft(axis, degrees)
@@ -171,7 +171,7 @@ def test_shaft_hardly_moves(core: Core, axis: int, inertia: float, friction: flo
 
 
 def test_deceleration_mirrors_the_pull(core: Core) -> None:
-    """Growing and reversed, shrinking: a shaft without friction has lost by then what it had won."""
+    """The reversed, decreasing current takes the gained speed from a shaft without friction."""
     currents: list[float] = []
     speeds: list[float] = []
     shaft = Shaft(77.0 * DEGREE, friction=0.0, resistance=20.0)
@@ -188,8 +188,8 @@ def test_deceleration_mirrors_the_pull(core: Core) -> None:
     assert speeds[-1] < 0.15 * max(speeds)
 
 
-def test_vector_goes_with_the_shaft(core: Core) -> None:
-    """Coordinate correction within a twitch: the angle between rotor and vector stays what it was, within a count."""
+def test_vector_moves_with_the_shaft(core: Core) -> None:
+    """Coordinate correction during a movement: the angle between rotor and vector is constant within a count."""
     shaft = Shaft(60.0 * DEGREE, friction=0.0)
     offsets: list[float] = []
 
@@ -204,13 +204,13 @@ def test_vector_goes_with_the_shaft(core: Core) -> None:
 
 @pytest.mark.parametrize("degrees", [180.0, 179.8, -179.7, 179.0])
 def test_opposite_rotor_is_not_taken_for_aligned(core: Core, degrees: float) -> None:
-    """No torque at 180 degrees: the first vector moves nothing, the one at 90 degrees does."""
+    """No torque at 180 degrees: the first vector causes no movement, the vector at 90 degrees does."""
     result = search(core, Shaft(degrees * DEGREE))
     assert result.phase == FOUND
     assert abs(result.error) < 1.5
 
 
-def test_rotor_on_the_first_vector(core: Core) -> None:
+def test_rotor_aligned_to_the_first_vector_is_found(core: Core) -> None:
     result = search(core, Shaft(0.2 * DEGREE))
     assert result.phase == FOUND
     assert result.vectors[1] == pytest.approx(90.0, abs=1.0)
@@ -219,8 +219,8 @@ def test_rotor_on_the_first_vector(core: Core) -> None:
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0, 180.0])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_blocked_shaft_is_refused(core: Core, axis: int, degrees: float) -> None:
-    """Full current from three sides and a turn of the vector: HELD, never an angle that was not seen to be true."""
+def test_blocked_shaft_ends_in_held(core: Core, axis: int, degrees: float) -> None:
+    """Full current in three directions and a rotation of the vector: HELD; an unverified angle is never accepted."""
     result = search(core, axis_shaft(axis, degrees, locked=True), axis)
     assert result.phase == HELD
     assert result.searches == 3
@@ -232,7 +232,7 @@ def test_blocked_shaft_is_refused(core: Core, axis: int, degrees: float) -> None
 @pytest.mark.parametrize("inertia", [1.0, 3.0])
 @pytest.mark.parametrize("degrees", range(-165, 180, 30))
 @pytest.mark.parametrize("axis", [0, 1])
-def test_dead_encoder_is_told_from_a_blocked_shaft(
+def test_dead_encoder_is_distinguished_from_a_blocked_shaft(
     core: Core, axis: int, degrees: int, inertia: float, friction: float
 ) -> None:
     nominal = axis_shaft(axis, degrees)
@@ -245,8 +245,8 @@ def test_dead_encoder_is_told_from_a_blocked_shaft(
 
 
 @pytest.mark.parametrize("twitches", range(1, 5))
-def test_shaft_that_is_blocked_under_way(core: Core, twitches: int) -> None:
-    """What does not move any more is not taken for a rotor on the vector."""
+def test_shaft_blocked_during_the_search_ends_in_held(core: Core, twitches: int) -> None:
+    """A shaft without movement is not accepted as a rotor on the vector."""
     shaft = Shaft(-101.0 * DEGREE)
 
     def block(s: Any) -> None:
@@ -256,7 +256,7 @@ def test_shaft_that_is_blocked_under_way(core: Core, twitches: int) -> None:
 
 
 @pytest.mark.parametrize("twitches", range(1, 5))
-def test_encoder_that_dies_under_way(core: Core, twitches: int) -> None:
+def test_encoder_failed_during_the_search_is_detected(core: Core, twitches: int) -> None:
     shaft = Shaft(-101.0 * DEGREE)
 
     def die(s: Any) -> None:
@@ -266,8 +266,8 @@ def test_encoder_that_dies_under_way(core: Core, twitches: int) -> None:
 
 
 @pytest.mark.parametrize("vector", [1, 2, 3])
-def test_shaft_that_is_let_go_again_is_found(core: Core, vector: int) -> None:
-    """Held for one vector only, at 0, beside it, or while the vector turns: the search does not give up, nor err."""
+def test_shaft_released_during_the_search_is_found(core: Core, vector: int) -> None:
+    """Blocked for one vector only, at 0, beside it, or during the rotation of the vector: the angle is still found."""
     shaft = Shaft(50.0 * DEGREE)
 
     def hold(s: Any) -> None:
@@ -282,8 +282,8 @@ def test_shaft_that_is_let_go_again_is_found(core: Core, vector: int) -> None:
 
 @pytest.mark.parametrize("stop", [-1.0, 1.0])
 @pytest.mark.parametrize("degrees", range(-175, 180, 10))
-def test_shaft_that_leans_on_an_end_stop(core: Core, degrees: int, stop: float) -> None:
-    """It can only move away from the stop: found all the same, and never where it is not."""
+def test_rotor_at_an_end_stop_is_found(core: Core, degrees: int, stop: float) -> None:
+    """The shaft can only move away from the stop: the angle is found without error."""
     low, high = (0.0, math.inf) if stop < 0.0 else (-math.inf, 0.0)
     result = search(core, Shaft(degrees * DEGREE, stops=(low, high)))
     assert result.phase == FOUND
@@ -292,8 +292,8 @@ def test_shaft_that_leans_on_an_end_stop(core: Core, degrees: int, stop: float) 
 
 @pytest.mark.parametrize("inertia", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("stop", [-3.0, -1.4, -0.6, 0.6, 1.4, 3.0])
-def test_end_stop_close_by(core: Core, stop: float, inertia: float) -> None:
-    """Off the stop by one vector and back on it by the next, which then moves nothing: no rotor on its vector."""
+def test_rotor_close_to_an_end_stop_is_found(core: Core, stop: float, inertia: float) -> None:
+    """One vector moves the shaft off the stop, the next one back: no movement there is no aligned rotor."""
     low, high = (stop * COUNT, math.inf) if stop < 0.0 else (-math.inf, stop * COUNT)
     for degrees in range(-172, 180, 15):
         result = search(core, Shaft(degrees * DEGREE, stops=(low, high), inertia=inertia * 0.8e-5))
@@ -303,8 +303,8 @@ def test_end_stop_close_by(core: Core, stop: float, inertia: float) -> None:
 
 @pytest.mark.parametrize("friction", [0.1, 1.0, 3.0])
 @pytest.mark.parametrize(("below", "above"), [(3.6, 0.5), (0.5, 3.6), (2.0, 2.0), (0.5, 0.5)])
-def test_obstructed_shaft_with_play(core: Core, below: float, above: float, friction: float) -> None:
-    """It twitches from stop to stop, and never follows the vector where it is not: found true or held."""
+def test_obstructed_shaft_with_play_is_found_or_held(core: Core, below: float, above: float, friction: float) -> None:
+    """The shaft moves between the stops only: the result is the true angle or HELD."""
     phases = []
     for degrees in range(-172, 180, 15):
         shaft = Shaft(degrees * DEGREE, stops=(-below * COUNT, above * COUNT), friction=friction * 2e-3)
@@ -318,8 +318,8 @@ def test_obstructed_shaft_with_play(core: Core, below: float, above: float, fric
 @pytest.mark.parametrize("friction", [0.0, 1.0, 5.0])
 @pytest.mark.parametrize("inertia", [0.3, 1.0, 10.0])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_encoder_that_counts_backwards(core: Core, axis: int, inertia: float, friction: float) -> None:
-    """Every twitch agrees with a rotor that lies opposite; but there no rotor stays."""
+def test_encoder_that_counts_backwards_is_detected(core: Core, axis: int, inertia: float, friction: float) -> None:
+    """Every movement agrees with a rotor at the opposite angle, which is not a stable position."""
     for degrees in range(-165, 180, 30):
         nominal = axis_shaft(axis, degrees)
         shaft = axis_shaft(
@@ -330,13 +330,13 @@ def test_encoder_that_counts_backwards(core: Core, axis: int, inertia: float, fr
         assert result.seconds < 1.5
 
 
-def test_no_current_no_verdict(stepped: Stepped) -> None:
-    """An unplugged motor: STARVED once the current stays away, long before the search could think of the encoder."""
+def test_missing_current_ends_in_starved(stepped: Stepped) -> None:
+    """An unplugged motor: STARVED without current, long before the encoder could be suspected."""
     s, config = stepped.state, stepped.config
     ticks = 0
     while s.phase == PULL:
         for _ in range(PERIODS):
-            stepped.lib.rotor_search_add(s, config, s.current >> 19, 0)  # an eighth of what is asked for
+            stepped.lib.rotor_search_add(s, config, s.current >> 19, 0)  # an eighth of the set-point
         stepped.step(0)
         ticks += 1
     assert (s.phase, s.current) == (STARVED, 0)
@@ -376,8 +376,8 @@ def test_current_starts_from_zero_at_every_vector(core: Core) -> None:
 
 
 @pytest.mark.parametrize("origin", [0, 123456, 2**31 - 2, -(2**31)])
-def test_position_may_start_anywhere(core: Core, origin: int) -> None:
-    """Only differences count, over the wrap of 32 bits too."""
+def test_search_does_not_depend_on_the_start_position(core: Core, origin: int) -> None:
+    """Only differences matter, also across the wrap of 32 bits."""
     stepped, moved = Stepped(core, origin), (origin + 3 + 2**31) % 2**32 - 2**31
     s = stepped.state
     stepped.step(origin, moved)
@@ -388,16 +388,16 @@ def test_position_may_start_anywhere(core: Core, origin: int) -> None:
     assert s.reach == 16384
 
 
-def test_one_count_is_no_twitch(stepped: Stepped) -> None:
-    """An edge that the shaft stands on dithers by one count; so does an encoder with one dead line."""
+def test_a_movement_by_one_count_is_ignored(stepped: Stepped) -> None:
+    """The count of a shaft at rest on an edge dithers by one; so does that of an encoder with one dead line."""
     s = stepped.state
     for k in range(150):
         stepped.step(k & 1)
         assert s.phase == PULL
 
 
-def test_dither_of_one_count_does_not_pull_for_ever(stepped: Stepped) -> None:
-    """Held fast on an edge that dithers, the shaft is called held, four times the usual wait later."""
+def test_dither_of_one_count_does_not_extend_the_pull_without_limit(stepped: Stepped) -> None:
+    """A blocked shaft on a dithering edge ends in HELD after four times the usual waiting time."""
     s, config = stepped.state, stepped.config
     ticks = 0
     while s.phase < FOUND and ticks < 10000:
@@ -419,7 +419,7 @@ def test_long_times_do_not_wrap(stepped: Stepped, factor: int) -> None:
 @pytest.mark.parametrize("error", [-400, 0, 400])
 @pytest.mark.parametrize("friction", [0, 500, 1500])
 def test_verification_measures_the_angle(stepped: Stepped, error: int, friction: int) -> None:
-    """A shaft that lags behind the vector by its friction, both ways, from where the rotor really is."""
+    """The shaft lags behind the vector by its friction in both directions; the true angle is found."""
     s = stepped.state
     stepped.to_verification()
     position, count = 0, 65536 * 2 / 4000
@@ -432,13 +432,13 @@ def test_verification_measures_the_angle(stepped: Stepped, error: int, friction:
         stepped.step(position)
         if s.verified:
             break
-    assert s.phase == REST, "the shaft has just been moved"
+    assert s.phase == REST, "the shaft has just moved"
     stepped.until(FOUND, position, 100)
     assert wrapped(s.vector) == pytest.approx(error + position * count, abs=count)
 
 
-def test_verification_turns_to_both_sides(stepped: Stepped) -> None:
-    """Up to its largest angle, down to it, and not beyond; the shaft does not follow: a vector from the side."""
+def test_verification_rotates_the_vector_to_both_sides(stepped: Stepped) -> None:
+    """Rotation to the largest angle of both sides; the shaft does not follow, so a vector from the side is next."""
     s, config = stepped.state, stepped.config
     stepped.to_verification()
     angles = []
@@ -451,7 +451,7 @@ def test_verification_turns_to_both_sides(stepped: Stepped) -> None:
     assert (s.phase, s.side, s.verify_failures) == (REST, 1, 1)
 
 
-def test_a_shaft_that_follows_and_stays_is_not_found(stepped: Stepped) -> None:
+def test_a_shaft_that_follows_and_does_not_return_is_not_found(stepped: Stepped) -> None:
     s = stepped.state
     stepped.to_verification()
     while not s.follows:
@@ -461,8 +461,8 @@ def test_a_shaft_that_follows_and_stays_is_not_found(stepped: Stepped) -> None:
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_shaft_that_leaves_its_vector(stepped: Stepped, sign: int) -> None:
-    """By a quarter of the largest turn: once it may be the search that has gone astray, twice it is the encoder."""
+def test_a_shaft_that_leaves_its_vector_twice_ends_in_reversed(stepped: Stepped, sign: int) -> None:
+    """Departure by a quarter of the largest angle: once is an error of the search, twice is the encoder."""
     s, config = stepped.state, stepped.config
     stepped.to_verification()
     far = config.verify_angle // 4 * 4000 // (65536 * 2)
@@ -476,7 +476,7 @@ def test_a_shaft_that_leaves_its_vector(stepped: Stepped, sign: int) -> None:
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_brake_ends_when_the_shaft_turns_back(stepped: Stepped, back: bool) -> None:
+def test_brake_ends_when_the_shaft_reverses(stepped: Stepped, back: bool) -> None:
     s = stepped.state
     for position in [0] * 100 + [-1] * 20 + [-3, -4, -5]:
         stepped.step(position)
@@ -485,8 +485,8 @@ def test_brake_ends_when_the_shaft_turns_back(stepped: Stepped, back: bool) -> N
     assert s.phase == (REST if back else BRAKE)
 
 
-def test_rest_lasts_until_the_shaft_has_stood_still(stepped: Stepped) -> None:
-    """Every movement starts the wait anew; only then does the whole movement shift the bounds."""
+def test_rest_lasts_until_standstill(stepped: Stepped) -> None:
+    """Every movement restarts the waiting time; the bounds are shifted by the total movement at its end."""
     s, config = stepped.state, stepped.config
     stepped.step(3)
     stepped.until(REST, 3)
@@ -501,8 +501,8 @@ def test_rest_lasts_until_the_shaft_has_stood_still(stepped: Stepped) -> None:
     assert s.theta_m == pytest.approx(-16384 + position * 65536 * 2 / 4000, abs=1)
 
 
-def test_dither_of_one_count_is_rest_in_the_end(core: Core) -> None:
-    """An edge, or the one live line of an encoder whose other line is dead; movement that goes on is no rest."""
+def test_dither_of_one_count_is_accepted_as_rest(core: Core) -> None:
+    """Dither on an edge, or of an encoder with one dead line; continued movement is no rest."""
     for step, rests in ((0, True), (1, False)):
         stepped = Stepped(core)
         stepped.step(3)
@@ -514,7 +514,7 @@ def test_dither_of_one_count_is_rest_in_the_end(core: Core) -> None:
         assert (stepped.state.phase == PULL) == rests
 
 
-def test_bounds_follow_the_shaft(stepped: Stepped) -> None:
+def test_bounds_are_shifted_by_the_movement_of_the_shaft(stepped: Stepped) -> None:
     """Coordinate correction of F15: both bounds and the next vector shift by the movement."""
     s = stepped.state
     stepped.step(-50)  # pulled down from 0: the rotor was above
@@ -527,7 +527,7 @@ def test_bounds_follow_the_shaft(stepped: Stepped) -> None:
 
 @pytest.mark.parametrize("moving", [1, 2, 5])
 def test_brake_lasts_four_times_as_long_as_the_shaft_has_moved(stepped: Stepped, moving: int) -> None:
-    """From the first count on; a shaft that goes on all the while is let go then."""
+    """Counted from the first movement; a shaft that keeps moving is released then."""
     s = stepped.state
     for position in [0] * 100 + [-1] * (moving - 1) + [-3]:
         stepped.step(position)
@@ -540,12 +540,12 @@ def test_brake_lasts_four_times_as_long_as_the_shaft_has_moved(stepped: Stepped,
 
 
 def wrapped(angle: int) -> int:
-    """An angle, 2^16 a turn, within half a turn."""
+    """Angle with 2^16 per revolution, wrapped to half a revolution."""
     return (angle + 32768) % 65536 - 32768
 
 
 def twitch(stepped: Stepped, position: int) -> None:
-    """The shaft jumps to a position as soon as the next vector pulls, and stays there until the one after."""
+    """Move the shaft to a position when the next vector pulls; it stays there until the following vector."""
     stepped.until(PULL, stepped.state.origin)
     stepped.step(position)
     assert stepped.state.phase == BRAKE
@@ -553,11 +553,11 @@ def twitch(stepped: Stepped, position: int) -> None:
         stepped.step(position)
         if stepped.state.phase in (PULL, VERIFY):
             return
-    pytest.fail("the search does not go on")
+    pytest.fail("the search does not continue")
 
 
 def test_interval_halves_exactly(stepped: Stepped) -> None:
-    """Eight halvings of a turn: no rounding piles up in the bounds."""
+    """Eight halvings of a revolution: rounding errors do not accumulate in the bounds."""
     s, config = stepped.state, stepped.config
     reaches = [s.reach]
     for k in range(8):
@@ -570,8 +570,8 @@ def test_interval_halves_exactly(stepped: Stepped) -> None:
 
 @pytest.mark.parametrize("at", range(1, 7))
 @pytest.mark.parametrize("degrees", [-140.0, -33.0, 12.0, 71.0])
-def test_push_from_outside_leads_to_no_wrong_angle(core: Core, degrees: float, at: int) -> None:
-    """A knock moves the shaft against one of the vectors: that twitch is taken for an answer, and then refuted."""
+def test_external_displacement_causes_no_wrong_angle(core: Core, degrees: float, at: int) -> None:
+    """An external displacement against one of the vectors is first accepted as a response and then rejected."""
     shaft = Shaft(degrees * DEGREE)
     knocked = False
 
@@ -599,7 +599,7 @@ def test_the_full_current_pulls_four_times_as_long_at_an_edge_that_dithers(stepp
 
 
 @pytest.mark.parametrize(("side", "counts"), [(0, 3), (1, 6), (-1, 6)])
-def test_a_twitch_is_so_many_counts(stepped: Stepped, side: int, counts: int) -> None:
+def test_counts_that_end_the_pull_depend_on_the_side(stepped: Stepped, side: int, counts: int) -> None:
     stepped.state.side = side
     stepped.step(counts - 1)
     assert stepped.state.phase == PULL
@@ -607,8 +607,8 @@ def test_a_twitch_is_so_many_counts(stepped: Stepped, side: int, counts: int) ->
     assert stepped.state.phase == BRAKE
 
 
-def test_only_the_movement_that_ends_in_the_twitch_counts_for_the_brake(stepped: Stepped) -> None:
-    """Neither what has dithered before nor the twitch before."""
+def test_duration_of_the_brake_is_that_of_the_last_movement(stepped: Stepped) -> None:
+    """Earlier dither and the previous movement are not included."""
     stepped.step(0, 1, 1, 0, 1, 2, 3)
     assert (stepped.state.phase, stepped.state.moving) == (BRAKE, 3)
     stepped.until(REST, 3)
@@ -638,7 +638,7 @@ def test_the_current_grows_faster_within_narrower_bounds(stepped: Stepped, reach
 
 
 @pytest.mark.parametrize(("periods", "phase"), [(63, PULL), (64, STARVED)])
-def test_no_current_for_64_periods_in_a_row(stepped: Stepped, periods: int, phase: int) -> None:
+def test_missing_current_for_64_consecutive_periods_ends_in_starved(stepped: Stepped, periods: int, phase: int) -> None:
     stepped.to_full_current()
     for current, times in ((0, 63), (stepped.config.current_limit, 1), (0, periods)):
         for _ in range(times):
@@ -647,7 +647,7 @@ def test_no_current_for_64_periods_in_a_row(stepped: Stepped, periods: int, phas
     assert stepped.state.phase == phase
 
 
-def test_two_counts_of_dither_are_no_rest(stepped: Stepped) -> None:
+def test_dither_of_two_counts_is_no_rest(stepped: Stepped) -> None:
     stepped.step(3)
     stepped.until(REST, 3)
     for tick in range(12 * stepped.config.rest_ticks):
@@ -655,7 +655,7 @@ def test_two_counts_of_dither_are_no_rest(stepped: Stepped) -> None:
     assert stepped.state.phase == REST
 
 
-def test_a_verified_shaft_that_coasts_is_taken_over_beyond_six_counts(stepped: Stepped) -> None:
+def test_a_verified_shaft_that_coasts_beyond_six_counts_is_accepted(stepped: Stepped) -> None:
     stepped.state.phase, stepped.state.verified = REST, True
     stepped.step(2, 4, 6)
     assert stepped.state.phase == REST
@@ -663,7 +663,7 @@ def test_a_verified_shaft_that_coasts_is_taken_over_beyond_six_counts(stepped: S
     assert stepped.state.phase == FOUND
 
 
-def test_verification_turns_when_the_full_current_has_flown_for_its_ticks(stepped: Stepped) -> None:
+def test_verification_begins_after_its_ticks_at_full_current(stepped: Stepped) -> None:
     stepped.state.reach = 128
     stepped.step(3)
     stepped.until(VERIFY, 3)
@@ -693,7 +693,7 @@ def test_a_shaft_that_does_not_follow_three_times_is_blocked(stepped: Stepped, b
     assert (s.phase, s.verify_failures) == (phase, before + 1)
 
 
-def test_a_shaft_comes_free_by_three_counts(stepped: Stepped) -> None:
+def test_a_shaft_is_free_after_three_counts(stepped: Stepped) -> None:
     stepped.until(TURN, maximum=2000)
     stepped.step(2)
     assert (stepped.state.phase, stepped.state.verify_failures) == (TURN, 0)
@@ -703,7 +703,7 @@ def test_a_shaft_comes_free_by_three_counts(stepped: Stepped) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400))
 def test_any_positions_keep_the_search_in_range(core: Core, seed: int, ticks: int) -> None:
-    """Whatever the counter does, jumps by half its range among it: defined, within the current limit, a known phase."""
+    """Any counter values, also jumps by half its range: defined behaviour, within the current limit, a valid phase."""
     draw = random.Random(seed)
     position = draw.randint(-(2**31), 2**31 - 1)
     stepped = Stepped(core, position)

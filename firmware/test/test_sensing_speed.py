@@ -46,7 +46,7 @@ class Speed:
         return float(self.c.speed / ONE * FULL_SCALE_RPM)
 
     def run(self, shaft: EdgeCapture, ticks: int, first: int = 1) -> list[float]:
-        """Slow loops on a turning shaft: take and compute, read the age, arm."""
+        """Slow loops on a rotating shaft: read the edge and compute, read the age, arm."""
         speeds = []
         for k in range(first, first + ticks):
             now = k * SLOW
@@ -65,7 +65,7 @@ class Speed:
 )
 @settings(max_examples=400)
 def test_e33_over_the_whole_range(core: Core, factor: int, counts: int, interval: int, start: tuple[int, int]) -> None:
-    """Up to half a turn in any interval at any full scale: towards zero, less than one LSB of 2^-31 off."""
+    """Up to half a revolution in any interval at any full scale: rounded towards zero, error below one LSB (2^-31)."""
     count, time = start
     arrived = count + counts
     if abs(arrived) >= COUNTS:
@@ -86,7 +86,7 @@ def test_e33_over_the_whole_range(core: Core, factor: int, counts: int, interval
 @given(edge_speed=I32, interval=edges(1, 65535), age=edges(0, AGE_OVERFLOW + 1), before=I32)
 @settings(max_examples=400)
 def test_f19_over_the_whole_range(core: Core, edge_speed: int, interval: int, age: int, before: int) -> None:
-    """M2 / TMRx3 towards zero, less than one LSB of 2^-31 off; untouched until TMRx3 > M2; 0 when TMRx3 overflows."""
+    """M2 / TMRx3 rounded towards zero, error below one LSB (2^-31); constant until TMRx3 > M2; 0 after overflow."""
     speed = Speed(core)
     speed.c.edge_speed, speed.c.interval, speed.c.speed, speed.c.primed = edge_speed, interval, before, True
     speed.slow(age)
@@ -104,7 +104,7 @@ def test_f19_over_the_whole_range(core: Core, edge_speed: int, interval: int, ag
 def test_the_plain_method_keeps_its_speed_until_the_timer_overflows(
     core: Core, edge_speed: int, interval: int, age: int, before: int
 ) -> None:
-    """F18; but it knows the age of its edge, as the next one has to be told from one after a wrap."""
+    """F18; the age of the edge is still used to distinguish the next edge from one after a wrap."""
     speed = Speed(core, enhanced=False)
     speed.c.edge_speed, speed.c.interval, speed.c.speed, speed.c.primed = edge_speed, interval, before, True
     speed.slow(age)
@@ -113,10 +113,10 @@ def test_the_plain_method_keeps_its_speed_until_the_timer_overflows(
 
 
 @given(waited=edges(0, 65535), interval=edges(0, 65535), primed=st.booleans(), old=I32)
-def test_an_edge_is_measured_from_a_young_one_only(
+def test_an_interval_is_measured_from_a_recent_edge_only(
     core: Core, waited: int, interval: int, primed: bool, old: int
 ) -> None:
-    """Not from none, not from one at the same time, not from one that was older than this interval a loop ago."""
+    """Not from a missing edge, not from one at the same time, not from one older than this interval one loop ago."""
     speed = Speed(core)
     speed.c.primed, speed.c.waited, speed.c.edge_speed, speed.c.speed, speed.c.interval = primed, waited, old, old, 7
     speed.edge(3, interval)
@@ -145,7 +145,7 @@ def test_worked_example_of_f19(core: Core) -> None:
     speed.edge(1, 1004)
     omega = speed.c.edge_speed
     assert omega == ONE * Fraction(1, 4) * RPM_PER_RATIO / FULL_SCALE_RPM
-    speed.slow(0)  # the loop in which the edge came
+    speed.slow(0)  # the loop of the edge
     for age, factor in ((2, 1), (5, Fraction(4, 5)), (8, Fraction(4, 8)), (11, Fraction(4, 11))):
         speed.slow(age)
         assert speed.c.speed == int(omega * factor)
@@ -172,7 +172,7 @@ def test_no_speed_is_above_the_true_one_by_more_than_a_tick_of_the_interval(
 ) -> None:
     """E33 gives c K / M2 for c counts in a true interval of T ticks, and the true speed is c K / T.
 
-    Both time stamps are cut off to whole ticks, so M2 > T - 1: the result is less than (M2 + 1) / M2 of the true
+    Both time stamps are truncated to whole ticks, so M2 > T - 1: the result is less than (M2 + 1) / M2 of the true
     speed. The division rounds towards zero and F19 only takes away, so this holds for both methods. From below it is
     (M2 - 1) / M2, and one tick more for F19, once two edges have come within the 65536 ticks of the timer. Otherwise
     it is 0.
@@ -195,11 +195,11 @@ def test_no_speed_is_above_the_true_one_by_more_than_a_tick_of_the_interval(
 
 
 def test_the_sign_follows_the_first_interval_in_the_new_direction(core: Core) -> None:
-    """The sign follows the first whole interval in the new direction."""
+    """The sign is that of the first complete interval in the new direction."""
     speed = Speed(core)
     speed.edge(3998, 0)
     assert speed.edge(0, 300) > 0
-    assert speed.edge(0, 600) == 0.0  # the same B edge, backwards
+    assert speed.edge(0, 600) == 0.0  # the same B edge, in the other direction
     assert speed.edge(3998, 900) < 0
     assert speed.rpm == pytest.approx(-float(2 * RPM_PER_RATIO / 300), rel=1e-6)
 

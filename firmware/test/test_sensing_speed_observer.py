@@ -1,4 +1,4 @@
-"""Speed observer: bit by bit against its equations, and what it makes of a counter."""
+"""Speed observer: every bit against its equations, and its estimate from a counter."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ int32s = st.integers(*INT32)
 @cache
 def axis_config(core: Core) -> Any:
     """What the configuration computes for axis 1."""
-    board = Bench(core)  # has the block, and has to outlive this line
+    board = Bench(core)  # owns the block, must stay referenced
     return core.ffi.new("speed_observer_config_t *", board.axis(0).config.speed_observer)
 
 
@@ -33,12 +33,12 @@ def saturated(x: int) -> int:
 
 
 def rounded_gain(x: int, gain: int) -> int:
-    """`f32_gain`: the product to the nearest, halves up, saturated."""
+    """`f32_gain`: product rounded to nearest, halves up, saturated."""
     return saturated(math.floor(Fraction(x * gain, 2**24) + Fraction(1, 2)))
 
 
 def model(state: tuple[int, int, int, int], config: Any, count: int, i_q: int) -> tuple[tuple[int, int, int, int], int]:
-    """One step in unlimited integers; every rounding is downwards but that of the gains."""
+    """One step in unlimited integers; all roundings downwards, except those of the gains."""
     last, offset, step, acceleration = state
     total = (i_q * 2**16 * config.acceleration_per_current >> 31) + acceleration
     moved = ((count - last + 2**31) % 2**32 - 2**31) * ONE
@@ -64,10 +64,10 @@ def model(state: tuple[int, int, int, int], config: Any, count: int, i_q: int) -
     acceleration=int32s,
     i_q=st.integers(-(2**15), 2**15 - 1),
 )
-def test_step_is_the_model(
+def test_step_agrees_with_the_model(
     core: Core, count: int, moved: int, offset: int, step: int, acceleration: int, i_q: int
 ) -> None:
-    """Exactly, over the whole range of every number, saturation and the wrap of the count included."""
+    """Exact over the whole range of every number, with saturation and the wrap of the count."""
     config = axis_config(core)
     now = (count + moved + 2**31) % 2**32 - 2**31
     observer = core.ffi.new("speed_observer_t *")
@@ -78,7 +78,7 @@ def test_step_is_the_model(
 
 
 @given(raw=int32s, count=int32s)
-def test_starts_with_the_speed_that_it_is_given(core: Core, raw: int, count: int) -> None:
+def test_observer_starts_with_the_given_speed(core: Core, raw: int, count: int) -> None:
     config = axis_config(core)
     observer = core.ffi.new("speed_observer_t *")
     core.lib.speed_observer_reset(observer, config, count, raw)
@@ -88,7 +88,7 @@ def test_starts_with_the_speed_that_it_is_given(core: Core, raw: int, count: int
 
 
 class Shaft:
-    """A shaft under a torque, and the count of an encoder whose edges lie between the counts."""
+    """A shaft with a torque, and the count of an encoder with edges between the counts."""
 
     def __init__(self, core: Core, speed_rad_s: float = 0.0) -> None:
         self.core, self.config = core, axis_config(core)
@@ -97,7 +97,7 @@ class Shaft:
         core.lib.speed_observer_reset(self.observer, self.config, 0, 0)
 
     def step(self, i_q: float = 0.0, load: float = 0.0) -> float:
-        """One tick with a current that the observer knows of [A] and a load that it does not [N m]; its speed."""
+        """One tick with a current [A] that is fed forward and a load [N m] that is not; return the speed."""
         acceleration = (0.0462 * i_q - load) / 0.8e-5
         self.theta += self.omega * TICK + 0.5 * acceleration * TICK**2
         self.omega += acceleration * TICK
@@ -109,7 +109,7 @@ class Shaft:
 
 @pytest.mark.parametrize("omega", [0.05, 0.5, 5.0, 50.0, 314.0, -0.5, -314.0])
 def test_constant_speed_is_found(core: Core, omega: float) -> None:
-    """From 0.5 to 3000 rpm, within what an edge may correct (`l_speed` counts per tick: 0.41 rad/s) and 0.2 %."""
+    """0.5 to 3000 rpm, within the correction of one edge (`l_speed` counts per tick: 0.41 rad/s) and 0.2 %."""
     shaft = Shaft(core, omega)
     edges = abs(omega) / COUNT
     for _ in range(round(30.0 / edges / TICK) + 400):
@@ -120,14 +120,14 @@ def test_constant_speed_is_found(core: Core, omega: float) -> None:
 
 
 def test_acceleration_by_i_q_is_fed_forward(core: Core) -> None:
-    """At 20 mA from rest the first edge comes after 4 ms; the estimate is right in every tick before, too."""
+    """With 20 mA from rest the first edge occurs after 4 ms; the estimate is also correct in every tick before."""
     shaft = Shaft(core)
     for _ in range(8):
         assert shaft.step(i_q=0.02) == pytest.approx(shaft.omega, abs=0.02)
 
 
-def test_unknown_load_is_learnt(core: Core) -> None:
-    """Time constant 2 ms (80 Hz): after 15 ms the load is known."""
+def test_unknown_load_is_estimated(core: Core) -> None:
+    """Time constant 2 ms (80 Hz): the load is estimated after 15 ms."""
     shaft = Shaft(core, 20.0)
     for _ in range(200):
         shaft.step()
@@ -139,14 +139,14 @@ def test_unknown_load_is_learnt(core: Core) -> None:
     assert learnt == pytest.approx(-2e-3 / 0.8e-5, rel=0.1)
 
 
-def test_rest_is_rest(core: Core) -> None:
-    """Within the count there is nothing to correct: no hunting."""
+def test_estimate_at_rest_is_zero(core: Core) -> None:
+    """Within one count there is no correction, so no hunting."""
     shaft = Shaft(core)
     assert {shaft.step() for _ in range(1000)} == {0.0}
 
 
-def test_lost_shaft_is_found_again(core: Core) -> None:
-    """A counter that jumps is accepted: no estimate that winds up."""
+def test_jump_of_the_counter_is_adopted(core: Core) -> None:
+    """A jump of the counter is adopted, without wind-up of the estimate."""
     shaft = Shaft(core)
     shaft.theta = 500 * COUNT
     shaft.step()
@@ -165,7 +165,7 @@ def spinning(core: Core) -> Bench:
     return bench
 
 
-def test_observer_takes_over_without_a_jump(core: Core) -> None:
+def test_enabling_the_observer_is_bumpless(core: Core) -> None:
     bench = spinning(core)
     bench.turn_without_current(0, 100.0)
     bench.slow(100)
@@ -178,7 +178,7 @@ def test_observer_takes_over_without_a_jump(core: Core) -> None:
     assert bench.view(0).speed == bench.axis(0).encoder.speed.speed
 
 
-def test_off_there_is_no_trace_of_it(core: Core) -> None:
+def test_disabled_observer_has_no_effect(core: Core) -> None:
     bench = spinning(core)
     bench.turn_without_current(0, 20.0)
     for _ in range(100):
@@ -187,7 +187,7 @@ def test_off_there_is_no_trace_of_it(core: Core) -> None:
 
 
 def test_standstill_and_position_come_from_encoder(core: Core) -> None:
-    """Standstill is what the edges say; a stop and the rotor search rely on it."""
+    """Standstill is detected by the edges; stops and the rotor search use it."""
     bench = spinning(core)
     bench.switch_on(0, FEATURES.SPEED_OBSERVER)
     bench.turn_without_current(0, 20.0)

@@ -31,7 +31,7 @@ class AxisStatus:
     """State of one axis in the newest telemetry."""
 
     label: str  # state and substate, for messages
-    spinning: bool  # accepts set-points: RUN/SPIN; without an encoder a set-point starts the axis in RUN/READY
+    accepts_set_points: bool  # RUN/SPIN, RUN/STARTUP; RUN/READY if a set-point starts the axis (no encoder)
     faulted: bool = False  # state FAULT
     position: int = 0  # of the shaft [counts], extended beyond the 32 bits of the board
     position_ref: int | None = None  # position set-point, extended [counts]; None: not in the telemetry
@@ -70,10 +70,10 @@ class Arbiter:
 
     # ---- state of the board
     def update_axes(self, axes: Sequence[AxisStatus]) -> None:
-        """Update the state of all axes; pending set-points of an axis that is not in RUN/SPIN are discarded."""
+        """Update the state of all axes; pending set-points of an axis that accepts none are discarded."""
         self._axes = list(axes)
         for axis, status in enumerate(axes):
-            if not status.spinning:
+            if not status.accepts_set_points:
                 self.queue.drop(axis, f"{self._joints[axis]} is in {status.label}")
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
@@ -105,7 +105,7 @@ class Arbiter:
     def armed(self) -> bool:
         """True if a set-point for every joint would be accepted."""
         blocked = self._blocked or self.inactive
-        return self._axes is not None and not blocked and all(axis.spinning for axis in self._axes)
+        return self._axes is not None and not blocked and all(axis.accepts_set_points for axis in self._axes)
 
     # ---- commands
     def submit(self, *requests: SetPointRequest) -> None:
@@ -165,7 +165,7 @@ class Arbiter:
                 )
             if self._blocked:
                 raise NotReady(f"{source}: {self._blocked}; call the service enable with data: true first")
-            if not status.spinning:
+            if not status.accepts_set_points:
                 raise NotReady(
                     f"{source}: {joint} is in {status.label}, not in RUN/SPIN; call the service enable with "
                     "data: true and wait until armed is true"

@@ -1,6 +1,6 @@
 """Parameters of the connected board: read, compare with the request, write, verify, report. Pure.
 
-All methods run in one thread. Results of the link are returned to it through `post`.
+All methods run in the thread of the executor.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from concurrent.futures import Future
 from typing import Any
 
 from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, contradiction, parameters, si
-from servo_msgs_py.catalogue import Catalogue, Value, numbers
+from servo_msgs_py.catalogue import Value, numbers
 from servo_msgs_py.value_text import value_text
 
+from servo_bridge.board_context import BoardContext
 from servo_bridge.outcome import error_of
 
 
@@ -23,41 +24,27 @@ class BoardParameters:
 
     Parameters
     ----------
-    catalogue : Catalogue
-        Definition of the parameters.
-    read : callable
-        Starts to read a variable by name [SI].
+    context : BoardContext
+        The board.
     write_raw : callable
         Starts to write all elements of a variable as firmware integers.
-    post : callable
-        Calls a function in the thread of the owner.
     changed : callable
         Receives the raw parameters after each reading.
-    info, warn : callable
-        Receive messages for the log.
     """
 
     def __init__(
         self,
-        catalogue: Catalogue,
-        read: Callable[[str], Future[Value]],
+        context: BoardContext,
         write_raw: Callable[[str, Sequence[int]], Future[Any]],
-        post: Callable[[Callable[[], None]], None],
-        *,
         changed: Callable[[RawParameters], None],
-        info: Callable[[str], None],
-        warn: Callable[[str], None],
     ) -> None:
         self.values: RawParameters | None = None  # read from the board; None: not known
         self.trouble = ""  # first error of the present request; empty: none
-        self._catalogue = catalogue
-        self._variables = parameters(catalogue)
-        self._read = read
+        self._context = context
+        self._catalogue = context.catalogue
+        self._names = [variable.name for variable in parameters(context.catalogue)]
         self._write_raw = write_raw
-        self._post = post
         self._changed = changed
-        self._info = info
-        self._warn = warn
         self._wanted: Sequence[Assignment] = ()
         self._connected = False
         self._round = 0  # results of earlier rounds are ignored
@@ -92,19 +79,18 @@ class BoardParameters:
         self._fetch(self._compare)
 
     def _fetch(self, then: Callable[[dict[str, list[int]]], None]) -> None:
-        futures = {v.name: self._read(v.name) for v in self._variables}
         number = self._round
 
-        def take() -> None:
+        def take(values: list[Value], error: str | None) -> None:
             if number != self._round:
                 return
-            for error in map(error_of, futures.values()):
-                if error is not None:
-                    self._fail(f"the parameters of the board cannot be read: {error}")
-                    return
-            then({name: [self._raw(name, x) for x in numbers(job.result())] for name, job in futures.items()})
+            if error is not None:
+                self._fail(f"the parameters of the board cannot be read: {error}")
+                return
+            pairs = zip(self._names, values, strict=True)
+            then({name: [self._raw(name, x) for x in numbers(value)] for name, value in pairs})
 
-        self._when_done(list(futures.values()), take)
+        self._context.read_all(self._names, take)
 
     def _compare(self, found: dict[str, list[int]]) -> None:
         target = applied(self._wanted, found)
@@ -120,13 +106,14 @@ class BoardParameters:
         futures = {name: self._write_raw(name, target[name]) for name in names}
         number = self._round
 
-        def written() -> None:
+        def written(_: Future[Any]) -> None:
             if number != self._round:
                 return
             errors = {name: error_of(future) for name, future in futures.items()}
             self._fetch(lambda now: self._verify(names, found, target, now, errors))
 
-        self._when_done(list(futures.values()), written)
+        # The link works in order: the last future is the last to be done.
+        self._context.when_done(futures[names[-1]], written)
 
     def _verify(
         self,
@@ -138,7 +125,7 @@ class BoardParameters:
     ) -> None:
         for name in names:
             if list(now[name]) == list(target[name]):
-                self._info(f"{name}: {self._text(name, before)} -> {self._text(name, now)}")
+                self._context.info(f"{name}: {self._text(name, before)} -> {self._text(name, now)}")
             else:
                 reason = errors[name] or "the board has another value"
                 self._fail(f"{name} is {self._text(name, now)}, requested {self._text(name, target)}: {reason}")
@@ -151,11 +138,7 @@ class BoardParameters:
 
     def _fail(self, text: str) -> None:
         self.trouble = self.trouble or text
-        self._warn(text)
-
-    def _when_done(self, futures: Sequence[Future[Any]], then: Callable[[], None]) -> None:
-        # The link works in order: the last future is the last to be done.
-        futures[-1].add_done_callback(lambda _: self._post(then))
+        self._context.warn(text)
 
     def _raw(self, name: str, value: float) -> int:
         return round(value / self._catalogue[name].lsb)

@@ -204,8 +204,8 @@ class Commander(Node):
         for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
             lines.append(f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s")
             values = _values(statuses.get(self._part(name)))
-            if "position known" in values:
-                lines[-1] += f", position {values['position known']}"
+            if "home state" in values:
+                lines[-1] += f", position {values['home state']}"
             for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")
@@ -364,6 +364,10 @@ class Commander(Node):
         if log("rejected"):
             raise CommandError(log("rejected")[0])
         self._path_log = log
+
+    def path_starts(self) -> int:
+        """How often the bridge has begun the last trajectory: again if its first points came too late."""
+        return len(self._path_log("following a trajectory"))
 
     def path_refusal(self) -> str:
         """Message of the bridge about points of the last trajectory that the board refused; empty if there are none."""

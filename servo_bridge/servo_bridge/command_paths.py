@@ -48,6 +48,9 @@ class PathUser(Protocol):
     def send_path(self, message: JointTrajectory) -> None:
         """Publish a trajectory and wait until the bridge follows it."""
 
+    def path_starts(self) -> int:
+        """How often the last trajectory has begun: again if its first points came too late."""
+
     def path_refusal(self) -> str:
         """Reason if the board has refused a part of the last trajectory; else empty."""
 
@@ -176,11 +179,13 @@ def _report(path: Path, limits: dict[str, Limits], currents: dict[str, tuple[flo
 
 
 def _wait(user: PathUser, duration: float) -> None:
-    begin = time.monotonic()
+    begin, starts = time.monotonic(), user.path_starts()
     while (passed := time.monotonic() - begin) < duration + _STEADY:
         user.spin_for(min(0.1, duration + _STEADY - passed))
         if refusal := user.path_refusal():
             raise TrajectoryError(f"{refusal}; the joints have stopped; send the path again")
+        if user.path_starts() > starts:
+            begin, starts = time.monotonic(), user.path_starts()
         if sys.stderr.isatty():
             done = min(passed / duration, 1.0)
             print(f"\r{100.0 * done:3.0f} %", end="", file=sys.stderr, flush=True)

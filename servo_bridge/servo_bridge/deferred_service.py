@@ -13,8 +13,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-Outcome = tuple[bool, str]
-"""Success and message, the two fields of SetBool and Trigger responses."""
+from servo_bridge.outcome import Outcome
 
 
 class DeferredService:

@@ -109,22 +109,29 @@ class Dispatcher:
         self._pending = item
         self._send(item.write)
 
-    def acknowledged(self, write: CommandWrite, error: str | None) -> None:
-        """Process the response of the board to a write; `error` None: accepted."""
+    def acknowledged(self, write: CommandWrite, error: str | None) -> bool:
+        """Process the response of the board to a write; `error` None: accepted.
+
+        Returns
+        -------
+        bool
+            True: the write has failed, and its set-points are discarded.
+        """
         item = self._pending
         if item is None or item.write is not write:
-            return  # discarded in the meantime
+            return False  # discarded in the meantime
         if error is None:
             item.acknowledged = True
             if item.done is None:
                 self._set_points.accepted(write)
-            return
+            return False
         self._pending = None
-        if item.done is None:
-            self._set_points.failed(write)
+        discarded = item.done is not None or self._set_points.failed(write)
+        if item.done is None and discarded:
             self._on_trouble(f"the write of {write.variable} failed, its set-point is discarded: {error}")
         _fail(item, error)
         self.pump()
+        return discarded
 
     def on_sample(self, tick: int, applied_tick: int, applied_count: int) -> AppliedCommand | None:
         """Check a sample for the effect of the pending write.

@@ -7,9 +7,10 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Final
 
-from servo_msgs_py.catalogue import AXES, Catalogue, Value
+from servo_msgs_py.catalogue import AXES, Value
 from servo_msgs_py.fault_record import FaultRecord, record_variable
 
+from servo_bridge.board_context import BoardContext
 from servo_bridge.outcome import error_of
 
 SECOND_READ: Final = 4000
@@ -21,24 +22,14 @@ class FaultRecords:
 
     Parameters
     ----------
-    read : callable
-        Starts to read a variable.
-    post : callable
-        Runs a function in the thread of the node.
+    context : BoardContext
+        Access to the board, the executor and the log.
     changed : callable
         Called with a record that is new or whose fault has changed.
     """
 
-    def __init__(
-        self,
-        catalogue: Catalogue,
-        read: Callable[[str], Future[Value]],
-        post: Callable[[Callable[[], None]], None],
-        changed: Callable[[FaultRecord], None],
-    ) -> None:
-        self._catalogue = catalogue
-        self._read = read
-        self._post = post
+    def __init__(self, context: BoardContext, changed: Callable[[FaultRecord], None]) -> None:
+        self._context = context
         self._changed = changed
         self._words = [0] * AXES
         self._again: list[int | None] = [None] * AXES
@@ -66,14 +57,13 @@ class FaultRecords:
         self.records = [None] * AXES
 
     def _fetch(self, axis: int) -> None:
-        future = self._read(record_variable(axis))
-        future.add_done_callback(lambda done: self._post(partial(self._take, axis, done)))
+        self._context.when_done(self._context.read(record_variable(axis)), partial(self._take, axis))
 
     def _take(self, axis: int, done: Future[Value]) -> None:
         if error_of(done) is not None or self._words[axis] == 0:
             return  # link lost, or fault cleared; the fault itself is reported elsewhere
         try:
-            record = FaultRecord.of(axis, done.result(), self._catalogue)
+            record = FaultRecord.of(axis, done.result(), self._context.catalogue)
         except ValueError:  # firmware with other records; as above
             return
         before = self.records[axis]

@@ -13,10 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse
-from rclpy.node import Node
 from servo_msgs_py.convert import to_stamp
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from servo_bridge.command_context import CommandContext
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
@@ -72,12 +72,10 @@ class FollowAction:
 
     Parameters
     ----------
-    node : Node
-        Owner.
+    context : CommandContext
+        Node and joints.
     interfaces : module
         ``control_msgs.action``.
-    joints : sequence of str
-        Joint names in the order of the axes.
     trajectories : TrajectoryTopics
         Checks trajectories and starts them.
     follower : Follower
@@ -88,22 +86,21 @@ class FollowAction:
 
     def __init__(
         self,
-        node: Node,
+        context: CommandContext,
         interfaces: ModuleType,
-        joints: Sequence[str],
         trajectories: TrajectoryTopics,
         follower: Follower,
         defaults: GoalDefaults,
     ) -> None:
-        self._node = node
+        self._node = context.node
         self._type: Any = interfaces.FollowJointTrajectory
-        self._joints = list(joints)
+        self._joints = list(context.joints)
         self._trajectories = trajectories
         self._follower = follower
         self._defaults = defaults
         self._active: list[_Active] = []
         self._server = _Server(
-            node,
+            context.node,
             self._type,
             _SOURCE,
             lambda _handle: None,  # every goal is ended by `finish`
@@ -167,6 +164,13 @@ class FollowAction:
             active.paths = {joint: paths[joint] for joint in goal.joints}
             active.path = merged(list(active.paths.values()))
 
+        def postponed() -> bool:
+            if goal.ended:
+                return False
+            goal.postponed()
+            active.paths, active.path = {}, None
+            return True
+
         active = _Active(handle, goal)
         active.plan = self._trajectories.follow(
             _SOURCE,
@@ -174,6 +178,7 @@ class FollowAction:
             begun=begun,
             refused=goal.refused,
             abandoned=goal.abandoned,
+            postponed=postponed,
             takes_over=PREEMPTED,
         )
         return active

@@ -16,7 +16,7 @@ from servo_msgs_py.value_text import value_text
 
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.telemetry import Snapshot
-from servo_bridge.trajectory.stream import StreamReport
+from servo_bridge.trajectory.streamer import StreamReport
 from servo_bridge.wire.link_state import LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
 
@@ -186,7 +186,7 @@ class Health:
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
         if (home := snapshot.values.get(f"{prefix}.home_state")) is not None:
-            values["position known"] = self._catalogue.label("home_state_t", int(home)).lower()
+            values["home state"] = self._catalogue.label("home_state_t", int(home)).lower()
         if (pins := snapshot.values.get(f"{prefix}.inputs")) is not None:
             values["inputs"] = ", ".join(f.name for f in self._catalogue.active("inputs", int(pins))) or "none"
         if record is not None and record.fault is not None:

@@ -7,14 +7,14 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
+from servo_msgs_py.catalogue import AXES, Value, axis_name, numbers
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 
 from servo_bridge.arbiter import Arbiter
-from servo_bridge.deferred_service import Outcome
+from servo_bridge.board_context import BoardContext
 from servo_bridge.dispatcher import Dispatcher
-from servo_bridge.outcome import error_of
+from servo_bridge.outcome import Outcome, answered, error_of
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_points import NotReady
 from servo_bridge.telemetry import Snapshot
@@ -32,7 +32,7 @@ _RETRY: Final = 3_200
 """PWM periods (0.2 s) between two attempts to restore a position."""
 
 _POLL: Final = 4_000
-"""PWM periods (0.25 s) between readings of the home states, which are not in the samples to keep these short."""
+"""PWM periods (0.25 s) between readings of the home states; they are omitted from the samples, to keep these short."""
 
 _POLL_FAST: Final = 800
 """PWM periods (0.05 s) between readings during a homing or restoring."""
@@ -49,7 +49,7 @@ _REASONS: Final = {
     "KNOWN": "the position is already known",
     "NOT_FOUND": "no stop or switch found within home.turns_max of the configuration",
     "TIMEOUT": "timeout: no stop or switch found",
-    "BLOCKED": "the shaft is blocked before it has reached the switch",
+    "BLOCKED": "the shaft was blocked before it reached the switch",
     "STUCK": "the shaft does not move away from the stop or the switch",
     "SPREAD": "the spread of the positions found exceeds home.spread of the configuration",
 }
@@ -92,47 +92,36 @@ class Homing:
 
     Parameters
     ----------
-    catalogue : Catalogue
-        Names and scales.
+    context : BoardContext
+        Access to the board, the executor and the log.
     arbiter : Arbiter
         Checks whether an axis accepts set-points.
     dispatcher : Dispatcher
         Sends the writes.
-    read : callable
-        Reads a variable of the board.
-    post : callable
-        Runs a function in the thread of the executor.
     moved : callable
         Called with an axis whose position may have changed its reference.
-    info, warn : callable
-        Receive messages for the log.
     """
 
     def __init__(
         self,
-        catalogue: Catalogue,
+        context: BoardContext,
         joints: Sequence[Joint],
         positions: Sequence[float],
         restores: bool,
         arbiter: Arbiter,
         dispatcher: Dispatcher,
-        read: Callable[[str], Future[Value]],
-        post: Callable[[Callable[[], None]], None],
-        *,
         moved: Callable[[int], None],
-        info: Callable[[str], None],
-        warn: Callable[[str], None],
     ) -> None:
         self.joints = list(joints)  # in the order of the axes
         self.positions = list(positions)  # of the references, in joint units [rad]
         self.restores = restores  # whether positions are restored after a restart of the board
-        self._catalogue = catalogue
+        self._context = context
+        self._catalogue = catalogue = context.catalogue
         self._states = catalogue.enums["home_state_t"]
         self._methods = catalogue.enums["home_method_t"]
         self._feature = catalogue.flag("features", "HOMING").mask
         self._lsb = catalogue["cmd.home_position"].lsb
         self._arbiter, self._dispatcher = arbiter, dispatcher
-        self._read, self._post, self._info, self._warn = read, post, info, warn
         self._moved = moved
         self._reading = False
         self._next_poll = 0
@@ -168,7 +157,7 @@ class Homing:
             self._polled, self._next_poll = -1, 0
         self._epoch, self._connected = snapshot.epoch, True
         for number, axis in enumerate(self._axes):
-            self._remember(number, axis, snapshot, restarted, features)
+            self._store_or_restore(number, axis, snapshot, restarted, features)
         self._poll(snapshot)
         for job in self._jobs:
             homing = self._axes[job.axis].state == self._states["HOMING"]
@@ -182,20 +171,19 @@ class Homing:
             return
         self._reading = True
         self._next_poll = snapshot.tick + (_POLL_FAST if self._jobs or self.restoring else _POLL)
-        futures = [self._read(name) for name in _COLUMNS]
 
-        def take() -> None:
+        def take(values: list[Value], error: str | None) -> None:
             self._reading = False
-            if snapshot.epoch != self._epoch or any(error_of(future) is not None for future in futures):
+            if snapshot.epoch != self._epoch or error is not None:
                 return
             self._polled = snapshot.tick
-            for number, future in enumerate(futures):
-                state = round(numbers(future.result())[0])
+            for number, value in enumerate(values):
+                state = round(numbers(value)[0])
                 if state != self._axes[number].state:
                     self._axes[number].state = state
                     self._moved(number)
 
-        futures[-1].add_done_callback(lambda _: self._post(take))
+        self._context.read_all(_COLUMNS, take)
 
     def link_lost(self, reason: str) -> None:
         """End all homings."""
@@ -210,29 +198,26 @@ class Homing:
     # ---- services
     def home(self, axis: int, method: str) -> Future[Outcome]:
         """Home an axis or set its position by one of `METHODS`; the future is done at the end."""
-        answer: Future[Outcome] = Future()
         joint = self.joints[axis]
         if not self._connected:
-            answer.set_result((False, "not connected; see state and /diagnostics"))
-            return answer
+            return answered(False, "not connected; see state and /diagnostics")
         if method != "here":
             try:
                 self._arbiter.check_ready(f"home of {joint.name}", [axis])
             except NotReady as error:
-                answer.set_result((False, str(error)))
-                return answer
+                return answered(False, str(error))
         value = round(joint.motor_position(self.positions[axis]) / self._lsb)
         low, high = self._catalogue["cmd.home_position"].raw_range
         if not low <= value <= high:
             position = self.positions[axis]
-            answer.set_result(
-                (False, f"home_positions of {joint.name} is {position:g} rad: outside the range of the board")
+            return answered(
+                False, f"home_positions of {joint.name} is {position:g} rad: outside the range of the board"
             )
-            return answer
         self._axes[axis].memory.until = None  # the new homing replaces the restoring
         for job in [job for job in self._jobs if job.axis == axis]:
             self._jobs.remove(job)
             job.answer.set_result((False, f"{joint.name} is not homed: {_REASONS['ABORTED']}"))
+        answer: Future[Outcome] = Future()
         self._write(axis, value, self._methods[self._of_motor(joint, method)], answer)
         return answer
 
@@ -267,21 +252,18 @@ class Homing:
         self._dispatcher.urgent(CommandWrite("cmd.home_position", axis, (value,))).add_done_callback(placed)
 
     def _read_result(self, job: _Job) -> None:
-        name = axis_name(job.axis)
-        futures = [self._read(f"{name}.home_result"), self._read(f"{name}.home_spread")]
-
-        def take() -> None:
+        def take(values: list[Value], error: str | None) -> None:
             if job not in self._jobs:
                 return  # ended by the loss of the link
             self._jobs.remove(job)
-            errors = [error for future in futures if (error := error_of(future)) is not None]
-            if errors:
-                job.answer.set_result((False, errors[0]))
+            if error is not None:
+                job.answer.set_result((False, error))
                 return
-            result, spread = (round(numbers(future.result())[0]) for future in futures)
+            result, spread = (round(numbers(value)[0]) for value in values)
             job.answer.set_result(self._outcome(job.axis, result, spread))
 
-        futures[-1].add_done_callback(lambda _: self._post(take))
+        name = axis_name(job.axis)
+        self._context.read_all([f"{name}.home_result", f"{name}.home_spread"], take)
 
     def _outcome(self, axis: int, result: int, spread: int) -> Outcome:
         label = self._catalogue.label("home_result_t", result)
@@ -291,13 +273,13 @@ class Homing:
         return False, f"{joint.name} is not homed: {_REASONS.get(label, label)}"
 
     # ---- after a restart
-    def _remember(
+    def _store_or_restore(
         self, number: int, axis: _Axis, snapshot: Snapshot, restarted: bool, features: Sequence[int] | None
     ) -> None:
         memory = axis.memory
         if axis.state in (self._states["KNOWN"], self._states["ASSUMED"]):
             if memory.until is not None:
-                self._info(
+                self._context.info(
                     f"{self.joints[number].name}: the position before the restart was restored (home_state ASSUMED)"
                 )
             memory.until = None
@@ -310,9 +292,12 @@ class Homing:
             memory.until, memory.next, memory.tried = snapshot.tick + _TIMEOUT, snapshot.tick, self._polled
         if memory.until is None:
             memory.position = None  # lost, or being homed
-        elif snapshot.tick > memory.until or snapshot.axes[number].spinning:
+        elif snapshot.tick > memory.until or snapshot.axes[number].accepts_set_points:
             memory.until = memory.position = None
-            self._warn(f"{self.joints[number].name}: position not restored: the shaft was not at rest; home it")
+            self._context.warn(
+                f"{self.joints[number].name}: position not restored: the axis was enabled, or not at rest within 2 s; "
+                "home it"
+            )
         elif snapshot.tick >= memory.next and self._polled >= memory.tried:
             memory.next, memory.tried = snapshot.tick + _RETRY, snapshot.tick + _EFFECT
             position = memory.position

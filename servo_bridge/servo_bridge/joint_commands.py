@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.qos import command_qos
 
-from servo_bridge.arbiter import Arbiter
-from servo_bridge.set_point_topics import SetPointTopics
+from servo_bridge.command_context import CommandContext
 from servo_bridge.set_points import NotReady, Rejected, RepeatedSetPoints, from_joint_command, requests_of
-from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.streamer import Streamer, require_within
 from servo_msgs_py import topics
 
@@ -24,20 +21,12 @@ class JointCommands:
 
     Parameters
     ----------
-    node : Node
-        Owner.
-    joints : sequence of str
-        Joint names in the order of the axes.
-    arbiter : Arbiter
-        Checks set-points.
+    context : CommandContext
+        Checks and counts the messages.
     streamer : Streamer
         Receives positions with a velocity or an effort.
-    set_points : SetPointTopics
-        Counts accepted and rejected messages, and reports the reasons.
     interfaces : mapping of str to collection of str, optional
         Arrays with each joint, if the sender omits joints in some arrays.
-    limits : callable
-        Present limits of every joint; None if the board has not reported them yet.
     offset_ns : callable
         Steady clock at tick 0 of the board [ns]; None before the first sample.
     wall_ns : callable
@@ -46,27 +35,20 @@ class JointCommands:
 
     def __init__(
         self,
-        node: Node,
-        joints: Sequence[str],
-        arbiter: Arbiter,
+        context: CommandContext,
         streamer: Streamer,
-        set_points: SetPointTopics,
         *,
         interfaces: Mapping[str, Collection[str]] | None,
-        limits: Callable[[], Sequence[Limits] | None],
         offset_ns: Callable[[], float | None],
         wall_ns: Callable[[int], int],
     ) -> None:
-        self._joints = joints
-        self._arbiter = arbiter
+        self._context = context
         self._streamer = streamer
-        self._set_points = set_points
         self._interfaces = interfaces
-        self._limits = limits
         self._offset_ns = offset_ns
         self._wall_ns = wall_ns
         self._repeats = RepeatedSetPoints()
-        node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
+        context.node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
 
     def advance(self) -> None:
         """Send the due points of the streams."""
@@ -78,19 +60,20 @@ class JointCommands:
         try:
             moves = self._request(message, time.monotonic_ns())
         except Rejected as error:
-            self._set_points.reject(_SOURCE, error)
+            self._context.reject(_SOURCE, error)
         else:
             if moves:
-                self._set_points.accept()
+                self._context.accept()
 
     def _request(self, message: JointState, now_ns: int) -> bool:
         """Execute a message; returns False if it has no set-point."""
+        context = self._context
         arrays = {"position": message.position, "velocity": message.velocity, "effort": message.effort}
-        points = from_joint_command(_SOURCE, self._joints, message.name, arrays, self._interfaces)
+        points = from_joint_command(_SOURCE, context.joints, message.name, arrays, self._interfaces)
         if not points:
             return False
         try:
-            self._arbiter.check_ready(_SOURCE, points)
+            context.arbiter.check_ready(_SOURCE, points)
         except NotReady:
             self._repeats.refused(now_ns * 1e-9, points)
             raise
@@ -101,17 +84,17 @@ class JointCommands:
                 " after a pause of 1 s"
             )
         streamed = {axis: point for axis, point in points.items() if point.streamed}
-        limits, arrival = self._limits(), self._board_time(now_ns)
+        limits, arrival = context.limits(), self._board_time(now_ns)
         if streamed and (limits is None or arrival is None):
             raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in 1 s")
         for axis, point in streamed.items():
             assert limits is not None
-            require_within(_SOURCE, self._joints[axis], point, limits[axis])
-        self._arbiter.submit(*requests_of(_SOURCE, points))
+            require_within(_SOURCE, context.joints[axis], point, limits[axis])
+        context.arbiter.submit(*requests_of(_SOURCE, points))
         if streamed:
             assert limits is not None
             assert arrival is not None
-            self._arbiter.admit(_SOURCE, streamed)
+            context.arbiter.admit(_SOURCE, streamed)
             self._streamer.take(streamed, self._stamp(message, arrival), arrival, limits)
             self._streamer.advance(arrival)
         return True

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
-from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_bridge.arbiter import Arbiter
+from servo_bridge.board_context import BoardContext
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.outcome import Outcome, answered
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Snapshot
-
-Outcome = tuple[bool, str]
-"""Success and message."""
 
 _RECHECK = 4 * SLOW_PERIODS
 """PWM periods after which a fault with a persistent cause is set again."""
@@ -29,8 +28,8 @@ class MotionServices:
 
     Parameters
     ----------
-    catalogue : Catalogue
-        Texts of faults.
+    context : BoardContext
+        Texts of faults, and the log.
     joints : sequence of str
         Joint names in the order of the axes.
     arbiter : Arbiter
@@ -39,20 +38,13 @@ class MotionServices:
         Sends the writes.
     """
 
-    def __init__(
-        self,
-        catalogue: Catalogue,
-        joints: Sequence[str],
-        arbiter: Arbiter,
-        dispatcher: Dispatcher,
-        on_event: Callable[[str], None],
-    ) -> None:
-        self._catalogue = catalogue
-        self._input = catalogue.flag("limits", "INPUT").mask
+    def __init__(self, context: BoardContext, joints: Sequence[str], arbiter: Arbiter, dispatcher: Dispatcher) -> None:
+        self._catalogue = context.catalogue
+        self._input = context.catalogue.flag("limits", "INPUT").mask
         self._joints = list(joints)
         self._arbiter = arbiter
         self._dispatcher = dispatcher
-        self._on_event = on_event
+        self._warn = context.warn
         self._snapshot: Snapshot | None = None
         self._reason = "no board since the start"
         self._stops = 0
@@ -61,9 +53,9 @@ class MotionServices:
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         """Process the newest sample."""
-        if self._snapshot is None and any(axis.spinning for axis in snapshot.axes):
+        if self._snapshot is None and any(axis.accepts_set_points for axis in snapshot.axes):
             # The link has sent a quick stop at the first contact.
-            self._on_event("the board was enabled at the connection and has been stopped; call enable to continue")
+            self._warn("the board was enabled at the connection and has been stopped; call enable to continue")
         self._snapshot = snapshot
         self._enabling = [entry for entry in self._enabling if not self._answer_enable(snapshot, *entry)]
         due = [entry for entry in self._rechecks if snapshot.tick >= entry[0]]
@@ -92,13 +84,13 @@ class MotionServices:
                 "cmd.enable", 0, "disabled by the service enable", "stopping, then switching the outputs off; see state"
             )
         if self._arbiter.inactive:
-            return _answered(False, f"{self._arbiter.inactive}; then call enable again")
+            return answered(False, f"{self._arbiter.inactive}; then call enable again")
         snapshot = self._snapshot
         if snapshot is None:
-            return _answered(False, self._not_connected())
+            return answered(False, self._not_connected())
         faults = self._faults(snapshot)
         if faults or any(axis.faulted for axis in snapshot.axes):
-            return _answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
+            return answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
         stops = self._stops
 
         answer: Future[Outcome] = Future()
@@ -151,7 +143,7 @@ class MotionServices:
         """Clear the faults whose cause is gone; the axes stay disabled."""
         snapshot = self._snapshot
         if snapshot is None:
-            return _answered(False, self._not_connected())
+            return answered(False, self._not_connected())
         answer: Future[Outcome] = Future()
 
         def written(done: Future[int]) -> None:
@@ -170,7 +162,7 @@ class MotionServices:
         self._stops += 1
         self._arbiter.block(reason)
         if self._snapshot is None:
-            return _answered(False, self._not_connected())
+            return answered(False, self._not_connected())
         return self._write(_both(variable, value), lambda: (True, message))
 
     def _write(self, write: CommandWrite, done: Callable[[], Outcome]) -> Future[Outcome]:
@@ -208,10 +200,3 @@ class MotionServices:
 def _both(variable: str, value: int) -> CommandWrite:
     """Write of the same number to all axes."""
     return CommandWrite(variable, 0, (value,) * AXES)
-
-
-def _answered(success: bool, message: str) -> Future[Outcome]:
-    """Future with a result."""
-    future: Future[Outcome] = Future()
-    future.set_result((success, message))
-    return future

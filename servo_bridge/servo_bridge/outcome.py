@@ -1,9 +1,19 @@
-"""Errors of futures. Pure."""
+"""Results of services, and errors of futures. Pure."""
 
 from __future__ import annotations
 
 from concurrent.futures import Future
 from typing import Any
+
+Outcome = tuple[bool, str]
+"""Success and message, the two fields of SetBool and Trigger responses."""
+
+
+def answered(success: bool, message: str) -> Future[Outcome]:
+    """Future with a result."""
+    future: Future[Outcome] = Future()
+    future.set_result((success, message))
+    return future
 
 
 def error_of(job: Future[Any]) -> str | None:

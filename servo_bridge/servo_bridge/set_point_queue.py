@@ -67,6 +67,13 @@ class PathSource(Protocol):
     @property
     def axes(self) -> Collection[int]: ...
     def next_points(self) -> tuple[int, ...] | None: ...
+    def points_accepted(self, axes: Iterable[int]) -> None:
+        """The board has accepted points of these axes."""
+
+    def postpone(self, axes: Collection[int]) -> bool:
+        """The board has refused points of these axes; True: their path begins later."""
+        ...
+
     def cancel(self, axis: int, reason: str) -> None: ...
 
 
@@ -109,10 +116,10 @@ class SetPointQueue:
 
         A change of the mode has this effect on the board; it needs no planning and cannot be refused.
         """
+        axes = list(axes)
+        self._stop(axes)
         for axis in axes:
-            self._modes[axis] = None
             self.drop(axis, reason)
-            self._halted.add(axis)
 
     def forget_modes(self) -> None:
         """Forget the modes, so that they are written again."""
@@ -152,23 +159,45 @@ class SetPointQueue:
         if write.variable == "cmd.mode":
             for k, raw in enumerate(write.raw):
                 self._modes[write.first + k] = Mode(raw)
+        elif write.variable == _POINTS and self._paths is not None:
+            self._paths.points_accepted(_axes_of(write))
 
-    def failed(self, write: CommandWrite) -> None:
+    def failed(self, write: CommandWrite) -> bool:
         """Record that the board refused a write: discard the pending set-points of its axes and forget their modes.
 
-        The board may still follow queued points of a path; a change of the mode stops it.
+        The board may still follow queued points of a path, or points of the refused write if its answer to a first
+        transmission was lost; a change of the mode stops it.
+
+        Returns
+        -------
+        bool
+            False: nothing is discarded, the path begins later.
         """
-        for axis in range(AXES):
-            if write.mask >> axis & 1:
-                if write.variable == _POINTS:
-                    self.halt([axis], POINTS_REFUSED)
-                else:
-                    self._modes[axis] = None
-                    self.drop(axis, f"the board refused {write.variable}")
+        axes = _axes_of(write)
+        if write.variable == _POINTS and self._paths is not None and self._paths.postpone(axes):
+            self._stop(axes)
+            return False
+        if write.variable == _POINTS:
+            self.halt(axes, POINTS_REFUSED)
+        else:
+            for axis in axes:
+                self._modes[axis] = None
+                self.drop(axis, f"the board refused {write.variable}")
+        return True
+
+    def _stop(self, axes: Iterable[int]) -> None:
+        """Stop axes by a change of the mode."""
+        for axis in axes:
+            self._modes[axis] = None
+            self._halted.add(axis)
 
     def _end_path(self, axis: int, reason: str) -> None:
         if self._paths is not None and axis in self._paths.axes:
             self._paths.cancel(axis, reason)
+
+
+def _axes_of(write: CommandWrite) -> list[int]:
+    return [axis for axis in range(AXES) if write.mask >> axis & 1]
 
 
 def _joined(variable: str, elements: Mapping[int, int]) -> CommandWrite:

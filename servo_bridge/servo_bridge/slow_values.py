@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Value, axis_name, numbers
 from servo_msgs_py.robot_description import Motor
 
+from servo_bridge.board_context import BoardContext
 from servo_bridge.health import BOARD_COUNTERS, WINDING, Winding
-from servo_bridge.outcome import error_of
 
 _MOTOR: Final = ("torque_constant", "acceleration_current")
 
@@ -20,10 +19,8 @@ class SlowValues:
 
     Parameters
     ----------
-    read : callable
-        Starts to read a variable; reads finish in order.
-    post : callable
-        Runs a function in the thread of the node.
+    context : BoardContext
+        Access to the board, the executor and the log.
     motors_known : callable
         Called after the motor data have been read.
     windings_known : callable
@@ -32,12 +29,11 @@ class SlowValues:
 
     def __init__(
         self,
-        read: Callable[[str], Future[Value]],
-        post: Callable[[Callable[[], None]], None],
+        context: BoardContext,
         motors_known: Callable[[], None],
         windings_known: Callable[[Sequence[Winding]], None],
     ) -> None:
-        self._read, self._post = read, post
+        self._context = context
         self._motors_known, self._windings_known = motors_known, windings_known
         self._counting = False
         self._link = 0  # number of the connection
@@ -85,12 +81,11 @@ class SlowValues:
         self, names: Sequence[str], take: Callable[[list[float]], None], ended: Callable[[], None] = lambda: None
     ) -> None:
         """Read single numbers and pass them to `take`, unless the link is lost meanwhile."""
-        futures, link = [self._read(name) for name in names], self._link
+        link = self._link
 
-        def all_read() -> None:
+        def all_read(values: list[Value], error: str | None) -> None:
             ended()
-            if link == self._link and all(error_of(future) is None for future in futures):
-                take([float(number) for future in futures for number in numbers(future.result())])
+            if link == self._link and error is None:
+                take([float(number) for value in values for number in numbers(value)])
 
-        # The link works in order: the last future is the last to be done.
-        futures[-1].add_done_callback(lambda _: self._post(all_read))
+        self._context.read_all(names, all_read)

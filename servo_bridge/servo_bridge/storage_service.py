@@ -23,9 +23,10 @@ from servo_msgs_py.board_storage import (
 )
 from std_srvs.srv import Trigger
 
-from servo_bridge.deferred_service import DeferredService, Outcome
+from servo_bridge.board_context import BoardContext
+from servo_bridge.deferred_service import DeferredService
+from servo_bridge.outcome import Outcome, answered
 from servo_bridge.tuning.block_session import BlockSession
-from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
 _TIMEOUT: Final = 5.0
@@ -39,28 +40,15 @@ class StorageService:
 
     Parameters
     ----------
+    context : BoardContext
+        The board.
     node : Node
         Owner of the services.
-    call : Call
-        Calls a function with the board, in the thread of the link.
-    post : callable
-        Runs a function in the thread of the node.
-    info, warn : callable
-        Receive messages for the log.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        call: Call,
-        post: Callable[[Callable[[], None]], None],
-        *,
-        info: Callable[[str], None],
-        warn: Callable[[str], None],
-    ) -> None:
+    def __init__(self, context: BoardContext, node: Node) -> None:
         self.storage: Storage | None = None  # state of the storage; None: not known
-        self._call, self._post = call, post
-        self._info, self._warn = info, warn
+        self._context = context
         self._busy = False
         self._services = [
             DeferredService(node, Trigger, topics.SAVE_TO_BOARD, lambda _: self._request("SAVE")),
@@ -77,15 +65,14 @@ class StorageService:
 
     def _update(self, storage: Storage) -> None:
         if storage.trouble and storage != self.storage:
-            self._warn(f"data flash of the board: {storage.trouble}")
+            self._context.warn(f"data flash of the board: {storage.trouble}")
         self.storage = storage
 
     def _request(self, kind: Kind) -> Future[Outcome]:
-        answer: Future[Outcome] = Future()
         if self._busy:
-            answer.set_result((False, "a request is already in progress; call again after its response"))
-            return answer
+            return answered(False, "a request is already in progress; call again after its response")
         self._busy = True
+        answer: Future[Outcome] = Future()
         until = time.monotonic() + _TIMEOUT
         failed = partial(self._failed, kind, answer)
         self._job(lambda memory: begin_request(memory, kind), partial(self._poll, kind, answer, until), failed)
@@ -110,7 +97,7 @@ class StorageService:
     def _done(self, answer: Future[Outcome], outcome: Outcome) -> None:
         self._busy = False
         success, message = outcome
-        (self._info if success else self._warn)(message)
+        (self._context.info if success else self._context.warn)(message)
         answer.set_result(outcome)
 
     def _job(
@@ -123,6 +110,9 @@ class StorageService:
 
         def done(future: Future[T]) -> None:
             error = future.exception()
-            self._post(partial(then, future.result()) if error is None else partial(failed, error))
+            if error is None:
+                then(future.result())
+            else:
+                failed(error)
 
-        self._call(lambda session: work(BlockSession(session))).add_done_callback(done)
+        self._context.when_done(self._context.call(lambda session: work(BlockSession(session))), done)

@@ -30,11 +30,13 @@ from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter
+from servo_bridge.board_context import BoardContext
 from servo_bridge.board_link import BoardLink, LinkFactory
 from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
-from servo_bridge.deferred_service import DeferredService, Outcome
+from servo_bridge.command_context import CommandContext
+from servo_bridge.deferred_service import DeferredService
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
@@ -45,7 +47,7 @@ from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
 from servo_bridge.keep_alive import KeepAlive
 from servo_bridge.motion_services import MotionServices
-from servo_bridge.outcome import error_of
+from servo_bridge.outcome import Outcome, error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
 from servo_bridge.set_point_queue import CommandWrite
@@ -110,6 +112,9 @@ class Supervisor:
         self._settings = settings
         self._inbox = Inbox(call_soon)
         self._link = self._make_link(link_factory)
+        self._context = BoardContext(
+            catalogue, self._link.read, self._link.call, self._inbox.post, self._info, self._warn
+        )
         self._joints = settings.names
         self._telemetry = Telemetry(self._catalogue, self._link.layout.variables)
         self._board_clock = BoardClock(minimum_delay_ns=self._link.layout.size * 10 * 1_000_000_000 // settings.baud)
@@ -127,40 +132,31 @@ class Supervisor:
             snapshot_period=settings.snapshot_period,
         )
         self._variables = VariableTopics(
+            self._context,
             node,
             self._joints,
             [self._catalogue[name] for name in settings.variables],
             self._telemetry.columns,
-            self._link.read,
-            self._inbox.post,
         )
         self._diagnostics = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
         self._health = Health(self._catalogue, full_name(node), settings.port, self._joints)
-        self._set_points = SetPointTopics(node, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
+        self._commands = CommandContext(
+            node, self._joints, self._arbiter, self._path_limits, self._dispatcher.pump, self._warn
+        )
+        self._set_points = SetPointTopics(self._commands)
         self._follower = Follower(self._catalogue, settings.joints, self._check_path)
         self._arbiter.queue.follow(self._follower)
         self._trajectories = TrajectoryTopics(
-            node,
-            self._joints,
-            self._arbiter,
-            self._follower,
-            self._set_points,
-            limits=self._path_limits,
-            origin_ns=self._origin_ns,
-            info=self._info,
+            self._commands, self._follower, origin_ns=self._origin_ns, info=self._info
         )
         self._action = self._offer_action()
         self._streamer = Streamer(
             settings.joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
         )
         self._joint_commands = JointCommands(
-            node,
-            self._joints,
-            self._arbiter,
+            self._commands,
             self._streamer,
-            self._set_points,
             interfaces=settings.command_interfaces,
-            limits=self._path_limits,
             offset_ns=lambda: self._board_clock.offset_ns,
             wall_ns=self._wall.wall_ns,
         )
@@ -168,56 +164,33 @@ class Supervisor:
         self._snapshot: Snapshot | None = None
         self._epoch = 0
         self._ended = False
-        self._slow = SlowValues(self._link.read, self._inbox.post, self._on_motors, self._on_windings)
+        self._slow = SlowValues(self._context, self._on_motors, self._on_windings)
         self._events = SnapshotEvents(catalogue, self._joints)
-        self._board_parameters = BoardParameters(
-            self._catalogue,
-            self._link.read,
-            self._link.write_raw,
-            self._inbox.post,
-            changed=self._on_parameters,
-            info=self._info,
-            warn=self._warn,
-        )
+        self._board_parameters = BoardParameters(self._context, self._link.write_raw, self._on_parameters)
         self._board_parameters.request(settings.board_parameters)
         self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
-        self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
-        self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
+        self._fault_records = FaultRecords(self._context, self._on_fault_record)
+        self._motion = MotionServices(self._context, self._joints, self._arbiter, self._dispatcher)
         self._homing = Homing(
-            catalogue,
+            self._context,
             settings.joints,
             settings.home_positions,
             settings.restore_positions,
             self._arbiter,
             self._dispatcher,
-            self._link.read,
-            self._inbox.post,
             moved=self._telemetry.restart_position,
-            info=self._info,
-            warn=self._warn,
         )
         self._records = RecordService(
+            self._context,
             node,
-            catalogue,
             settings.recording,
-            self._link.call,
-            self._inbox.post,
-            piece=piece_size(self._link.layout.size, settings.baud),
-            times=self._times,
-            info=self._info,
-            warn=self._warn,
+            piece_size(self._link.layout.size, settings.baud),
+            self._times,
         )
         self._tuning = TuningService(
-            node,
-            settings.tuning,
-            self._link.call,
-            self._inbox.post,
-            take=self._dispatcher.urgent,
-            taken=self._read_nominal_values,
-            info=self._info,
-            warn=self._warn,
+            self._context, node, settings.tuning, take=self._dispatcher.urgent, taken=self._read_nominal_values
         )
-        self._storage = StorageService(node, self._link.call, self._inbox.post, info=self._info, warn=self._warn)
+        self._storage = StorageService(self._context, node)
         self._offer_services()
         self._start_timers()
         self._publish_description()
@@ -266,9 +239,7 @@ class Supervisor:
             )
             return None
         settings = self._settings
-        return FollowAction(
-            self._node, interfaces, settings.names, self._trajectories, self._follower, settings.goal_defaults
-        )
+        return FollowAction(self._commands, interfaces, self._trajectories, self._follower, settings.goal_defaults)
 
     def _start_timers(self) -> None:
         node, steady = self._node, Clock(clock_type=ClockType.STEADY_TIME)
@@ -319,13 +290,14 @@ class Supervisor:
         """Start a write; its result returns through the inbox, in order with the samples."""
 
         def done(future: Future[WriteResult]) -> None:
-            self._inbox.post(partial(self._dispatcher.acknowledged, write, error_of(future)))
-            if write.variable == "cmd.points" and error_of(future) is not None:
-                self._inbox.post(self._log_refusal)
+            discarded = self._dispatcher.acknowledged(write, error_of(future))
+            if discarded and write.variable == "cmd.points":
+                self._log_refusal()
 
         # A stop must not wait for parameters on a slow line; parameters must not wait for a stream of set-points.
         urgent = write.variable in _URGENT
-        self._link.write_raw(write.variable, write.raw, first=write.first, urgent=urgent).add_done_callback(done)
+        written = self._link.write_raw(write.variable, write.raw, first=write.first, urgent=urgent)
+        self._context.when_done(written, done)
 
     def _log_refusal(self) -> None:
         """Log the reason of the board for the refusal of timed points."""
@@ -333,9 +305,9 @@ class Supervisor:
         def log(future: Future[Value]) -> None:
             if error_of(future) is None:
                 reason = self._catalogue.label("point_refusal_t", int(numbers(future.result())[0]))
-                self._inbox.post(partial(self._warn, f"the board has refused points of a trajectory: {reason}"))
+                self._warn(f"the board has refused points of a trajectory: {reason}")
 
-        self._link.read("point_refusal").add_done_callback(log)
+        self._context.when_done(self._context.read("point_refusal"), log)
 
     def _path_limits(self) -> list[Limits] | None:
         values = self._board_parameters.values
@@ -526,9 +498,9 @@ class Supervisor:
                 for axis, limit in enumerate(self._current_limits())
             ),
             health.commands(
-                self._set_points.figures,
+                self._commands.figures,
                 armed=self._arbiter.armed,
-                conflict=self._set_points.conflict(),
+                conflict=self._commands.conflict(),
                 inactive=self._arbiter.inactive,
             ),
             health.stream(self._streamer.report),

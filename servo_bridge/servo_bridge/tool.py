@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.figure import PictureError
 
 from servo_bridge import (
     tool_bode,
@@ -238,7 +239,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(_shield_negative(sys.argv[1:] if argv is None else argv))
     try:
         return _run(args)
-    except (UsageError, ParameterFileError) as error:
+    except (UsageError, ParameterFileError, PictureError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 2
     except UnknownVariableError as error:

@@ -306,7 +306,7 @@ def warn(context: Context) -> None:
 def _require_contract(context: Context) -> None:
     """Refuse writes to a servo board of another version; other FreeMASTER targets are written by their own types."""
     mismatch = context.session.mismatch
-    if isinstance(mismatch, BoardMismatchError) and not mismatch.stranger and not getattr(context.args, "raw", False):
+    if isinstance(mismatch, BoardMismatchError) and not mismatch.foreign and not getattr(context.args, "raw", False):
         raise mismatch
 
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.fault_record import COLUMNS, FaultRecord, record_variable
-
-from servo_bridge.tool_values import UsageError
+from servo_msgs_py.figure import new_figure, write_figure
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -53,11 +52,7 @@ def _print(record: FaultRecord, context: Context) -> None:
 
 
 def _plot(records: Sequence[FaultRecord], path: Path) -> None:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise UsageError("--plot needs matplotlib: pip install matplotlib") from None
-    figure = Figure(figsize=(10.0, 3.0 * max(len(records), 1)), layout="constrained")
+    figure = new_figure(10.0, 3.0 * max(len(records), 1))
     grid = figure.subplots(max(len(records), 1), 3, squeeze=False)
     curves = (("i_a", "i_b", "i_d", "i_q"), ("u_dc",), ("speed",))
     units = ("A", "V", "rad/s")
@@ -70,5 +65,5 @@ def _plot(records: Sequence[FaultRecord], path: Path) -> None:
             place.set_ylabel(unit)
             place.legend()
         row[0].set_title(f"{axis_name(record.axis)}: {record.fault.name if record.fault else ''}")
-    figure.savefig(path)
+    write_figure(figure, path)
     print(f"wrote {path}", file=sys.stderr)

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from rclpy.node import Node
 from servo_msgs_py.runtime.qos import command_qos
 from trajectory_msgs.msg import JointTrajectory
 
-from servo_bridge.arbiter import Arbiter
-from servo_bridge.set_point_topics import SetPointTopics
+from servo_bridge.command_context import CommandContext
 from servo_bridge.set_points import NotReady, Rejected
-from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.from_message import from_message
@@ -27,18 +24,10 @@ class TrajectoryTopics:
 
     Parameters
     ----------
-    node : Node
-        Owner.
-    joints : sequence of str
-        Joint names in the order of the axes.
-    arbiter : Arbiter
-        Checks trajectories.
+    context : CommandContext
+        Checks and counts trajectories.
     follower : Follower
         Sends them to the board.
-    set_points : SetPointTopics
-        Counts accepted and rejected trajectories, and reports the reasons.
-    limits : callable
-        Present limits of every joint; None if the board has not reported them yet.
     origin_ns : callable
         ROS time at tick 0 of the board [ns]; None before the first sample.
     info : callable
@@ -47,24 +36,17 @@ class TrajectoryTopics:
 
     def __init__(
         self,
-        node: Node,
-        joints: Sequence[str],
-        arbiter: Arbiter,
+        context: CommandContext,
         follower: Follower,
-        set_points: SetPointTopics,
         *,
-        limits: Callable[[], Sequence[Limits] | None],
         origin_ns: Callable[[], int | None],
         info: Callable[[str], None],
     ) -> None:
-        self._joints = joints
-        self._arbiter = arbiter
+        self._context = context
         self._follower = follower
-        self._set_points = set_points
-        self._limits = limits
         self._origin_ns = origin_ns
         self._info = info
-        node.create_subscription(JointTrajectory, topics.JOINT_TRAJECTORY, self._on_trajectory, command_qos())
+        context.node.create_subscription(JointTrajectory, topics.JOINT_TRAJECTORY, self._on_trajectory, command_qos())
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         source = topics.JOINT_TRAJECTORY
@@ -72,9 +54,9 @@ class TrajectoryTopics:
             if not len(message.points):
                 self.stop(source, message.joint_names)
                 return
-            self.follow(source, message, refused=lambda error: self._set_points.reject(source, error))
+            self.follow(source, message, refused=lambda error: self._context.reject(source, error))
         except Rejected as error:
-            self._set_points.reject(source, error)
+            self._context.reject(source, error)
 
     def stop(self, source: str, names: Sequence[str], reason: str = "") -> float:
         """Stop joints with the acceleration limit and hold.
@@ -99,21 +81,21 @@ class TrajectoryTopics:
             If a joint does not exist, or the axes do not accept set-points.
         """
         for name in names:
-            if name not in self._joints:
-                known = ", ".join(self._joints)
+            if name not in self._context.joints:
+                known = ", ".join(self._context.joints)
                 raise TrajectoryError(
                     f"{source}: joint {name!r} does not exist; the joints are {known}", ErrorCode.INVALID_JOINTS
                 )
-        joints = [joint for joint in self._joints if joint in names or not len(names)]
-        axes = [self._joints.index(joint) for joint in joints]
-        self._arbiter.check_ready(source, axes)
-        limits = self._limits()
+        joints = [joint for joint in self._context.joints if joint in names or not len(names)]
+        axes = [self._context.joints.index(joint) for joint in joints]
+        self._context.arbiter.check_ready(source, axes)
+        limits = self._context.limits()
         if limits is None:
             raise NotReady(f"{source}: the board has not reported its limits yet; call quick_stop to stop now")
         speeds = self._follower.running().select(joints).state(self._follower.now).velocity
         times = [abs(speed) / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
-        self._arbiter.queue.halt(axes, reason or f"an empty trajectory on {source} stopped it")
-        self._set_points.accept()
+        self._context.arbiter.queue.halt(axes, reason or f"an empty trajectory on {source} stopped it")
+        self._context.accept()
         self._info(f"stopping {', '.join(joints)} for {source}")
         return float(self._follower.now + max(times) + _STOP_DELAY)
 
@@ -125,6 +107,7 @@ class TrajectoryTopics:
         refused: Callable[[TrajectoryError], None],
         begun: Callable[[float], None] | None = None,
         abandoned: Callable[[str], None] | None = None,
+        postponed: Callable[[], bool] = lambda: True,
         takes_over: str | None = None,
     ) -> Plan:
         """Check a trajectory and start to follow it.
@@ -141,6 +124,8 @@ class TrajectoryTopics:
             Called at the begin, with the end of the path [s of board time].
         abandoned : callable, optional
             Called with the reason if it has begun but is not followed to its end.
+        postponed : callable, optional
+            Called if its first points have reached the board too late. True: `begun` is called again when it begins.
         takes_over : str, optional
             Reported for the paths that it replaces; default: a trajectory on this source.
 
@@ -154,10 +139,10 @@ class TrajectoryTopics:
         Rejected
             If it is refused at once; then nothing is changed.
         """
-        joints = [joint for joint in self._joints if joint in message.joint_names or not message.joint_names]
-        axes = [self._joints.index(joint) for joint in joints]
-        self._arbiter.check_ready(source, axes)
-        limits, origin_ns = self._limits(), self._origin_ns()
+        joints = [joint for joint in self._context.joints if joint in message.joint_names or not message.joint_names]
+        axes = [self._context.joints.index(joint) for joint in joints]
+        self._context.arbiter.check_ready(source, axes)
+        limits, origin_ns = self._context.limits(), self._origin_ns()
         if limits is None or origin_ns is None:
             raise TrajectoryError(f"{source}: the board has not reported its limits yet; try again in 1 s")
         stamp = message.header.stamp
@@ -171,10 +156,16 @@ class TrajectoryTopics:
             if begun is not None:
                 begun(end)
 
+        def begins_later() -> bool:
+            if not postponed():
+                return False
+            self._info(f"the first points of {', '.join(joints)} reached the board too late; they begin later")
+            return True
+
         # Errors of the trajectory itself are reported at once, not when the axes are ready.
         running = self._follower.running()
         plan(running, running.start_time)
-        self._arbiter.admit(source, axes)
+        self._context.arbiter.admit(source, axes)
         self._follower.request(
             joints,
             plan,
@@ -182,7 +173,8 @@ class TrajectoryTopics:
             refused=refused,
             start=(stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else 0.0,
             abandoned=abandoned,
+            postponed=begins_later,
             takes_over=takes_over or f"a trajectory on {source} took over",
         )
-        self._set_points.accept()
+        self._context.accept()
         return plan

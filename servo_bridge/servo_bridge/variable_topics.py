@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -12,6 +13,7 @@ from servo_msgs_py.convert import columns, row
 from servo_msgs_py.runtime.qos import telemetry_qos
 from std_msgs.msg import Float64
 
+from servo_bridge.board_context import BoardContext
 from servo_bridge.outcome import error_of
 from servo_msgs_py import topics
 
@@ -23,6 +25,8 @@ class VariableTopics:
 
     Parameters
     ----------
+    context : BoardContext
+        Access to the board, the executor and the log.
     node : Node
         Owner.
     joints : sequence of str
@@ -31,23 +35,17 @@ class VariableTopics:
         Variables to publish.
     sampled : sequence of str
         Columns of the telemetry.
-    read : callable
-        Starts to read a variable by name.
-    post : callable
-        Calls a function in the thread of the executor.
     """
 
     def __init__(
         self,
+        context: BoardContext,
         node: Node,
         joints: Sequence[str],
         variables: Sequence[Variable],
         sampled: Sequence[str],
-        read: Callable[[str], Future[Value]],
-        post: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._read = read
-        self._post = post
+        self._context = context
         self._publishers: dict[str, Any] = {}
         for variable in variables:
             ends = [""] if variable.count == 1 else [f".{axis_name(k)}" for k in range(variable.count)]
@@ -61,8 +59,8 @@ class VariableTopics:
         """Publish the values of a sample [SI], and start to read the next variable that is not in the sample."""
         self._publish(sample)
         if self._pending is None and (variable := next(self._outside, None)) is not None:
-            future = self._pending = self._read(variable.name)
-            future.add_done_callback(lambda done: self._post(lambda: self._arrived(variable, done)))
+            self._pending = self._context.read(variable.name)
+            self._context.when_done(self._pending, partial(self._arrived, variable))
 
     def link_lost(self) -> None:
         """Discard the pending read."""

@@ -365,12 +365,12 @@ class Rig:
     def accepted(self) -> int:
         """Number of accepted set-points."""
         assert self.bridge.supervisor is not None
-        return self.bridge.supervisor._set_points.figures.accepted
+        return self.bridge.supervisor._commands.figures.accepted
 
     def was_rejected(self, name: str) -> bool:
         """True if the last rejection, logged or not, is of this joint."""
         assert self.bridge.supervisor is not None
-        return f"'{name}'" in self.bridge.supervisor._set_points.figures.last_rejection
+        return f"'{name}'" in self.bridge.supervisor._commands.figures.last_rejection
 
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]
@@ -395,7 +395,7 @@ class Rig:
         return parameters_from_message(messages[-1], self.link.catalogue) if messages else {}
 
     def set_parameter(self, name: str, value: Any) -> tuple[bool, str]:
-        """Set a parameter of the bridge as ``ros2 param set`` does."""
+        """Set a parameter of the bridge, like ``ros2 param set``."""
         client = self.user.create_client(SetParameters, "servo_bridge/set_parameters")
         self.until(client.service_is_ready)
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])

@@ -1,4 +1,4 @@
-"""A real pty with a fake device at its other end, and failures of a serial line. For tests."""
+"""A real pty with a fake device at its other end, and failures of a serial line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A transport in simulated time. For tests."""
+"""A transport in simulated time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A link with a collector of its samples and states. For tests."""
+"""A link with a collector of its samples and states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A line in simulated time that loses, delays and damages frames. For tests."""
+"""A line in simulated time that loses, delays and damages frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fault records as bytes in the format of the board. For tests."""
+"""Fault records as bytes in the format of the board."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import pytest
 from hypothesis import example, given
@@ -22,9 +22,9 @@ KT = [0.0462, 0.0414]
 LSB = CATALOGUE["cmd.position"].lsb
 REACH = CATALOGUE.bits["position"]["REACH"]
 TURN = 2.0 * math.pi
-SPINNING = AxisStatus("RUN/SPIN", spinning=True)
-STOPPED = AxisStatus("STOP", spinning=False)
-FAULTED = AxisStatus("FAULT", spinning=False, faulted=True)
+SPINNING = AxisStatus("RUN/SPIN", accepts_set_points=True)
+STOPPED = AxisStatus("STOP", accepts_set_points=False)
+FAULTED = AxisStatus("FAULT", accepts_set_points=False, faulted=True)
 
 
 def arbiter(*axes: AxisStatus, limits: JointLimits | None = None) -> Arbiter:
@@ -41,7 +41,7 @@ def request(values: Mapping[int, float], mode: Mode = Mode.POSITION, source: str
 
 
 def drain(subject: Arbiter) -> list[CommandWrite]:
-    """Fetch all writes as the dispatcher does, one by one, each accepted."""
+    """Take all writes like the dispatcher: one at a time, each accepted."""
     writes = []
     while (write := subject.queue.next_write()) is not None:
         subject.queue.accepted(write)
@@ -50,7 +50,7 @@ def drain(subject: Arbiter) -> list[CommandWrite]:
     return writes
 
 
-# ---- what goes to the board
+# ---- writes to the board
 def test_first_command_sets_the_mode_and_then_both_axes_in_one_write() -> None:
     subject = arbiter()
     subject.submit(request({0: TURN, 1: -2 * TURN}))
@@ -98,7 +98,7 @@ def test_axes_in_different_modes_get_their_own_writes() -> None:
 
 def at(counts: int) -> AxisStatus:
     """Status of an axis at a position [counts], which may exceed the range of the counter."""
-    return AxisStatus("RUN/SPIN", spinning=True, position=counts)
+    return AxisStatus("RUN/SPIN", accepts_set_points=True, position=counts)
 
 
 def wrapped(counts: int) -> int:
@@ -112,20 +112,20 @@ def written_position(subject: Arbiter, counts: int) -> int:
     return raw
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("turns_of_the_counter", [2**31, 2**32, 3 * 2**32])
-def test_positions_are_exact_beyond_the_counter_of_the_board(turns_of_the_counter: int, way: int) -> None:
-    shaft = way * turns_of_the_counter
+def test_positions_are_exact_beyond_the_counter_of_the_board(turns_of_the_counter: int, direction: int) -> None:
+    shaft = direction * turns_of_the_counter
     subject = arbiter(at(shaft), at(0))
     for step in (0, 123_457, -123_457):
         assert written_position(subject, shaft + step) == wrapped(shaft + step)
     assert "outside" in refused(subject, request({0: 0.0}))
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_set_point_may_cross_the_wrap_of_the_counter(way: int) -> None:
-    subject = arbiter(at(way * (2**31 - 10)), at(0))
-    assert written_position(subject, way * (2**31 + 10)) == -way * (2**31 - 10)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_set_point_may_cross_the_wrap_of_the_counter(direction: int) -> None:
+    subject = arbiter(at(direction * (2**31 - 10)), at(0))
+    assert written_position(subject, direction * (2**31 + 10)) == -direction * (2**31 - 10)
 
 
 @given(st.integers(-(2**42), 2**42), st.integers(-REACH, REACH))
@@ -133,17 +133,17 @@ def test_a_set_point_may_cross_the_wrap_of_the_counter(way: int) -> None:
 @example(-(2**31), -1)
 @example(2**42, REACH)
 @example(-(2**42), -REACH)
-def test_distance_is_independent_of_counter_wraps(shaft: int, way: int) -> None:
-    raw = written_position(arbiter(at(shaft), at(0)), shaft + way)
+def test_distance_is_independent_of_counter_wraps(shaft: int, distance: int) -> None:
+    raw = written_position(arbiter(at(shaft), at(0)), shaft + distance)
     assert -(2**31) <= raw < 2**31
-    assert wrapped(raw - wrapped(shaft)) == way
+    assert wrapped(raw - wrapped(shaft)) == distance
 
 
 @pytest.mark.parametrize("shaft", [0, 2**33, -(2**33)])
-@pytest.mark.parametrize("way", [REACH + 1, -REACH - 1])
-def test_too_distant_set_point_is_refused_with_the_maximum(shaft: int, way: int) -> None:
+@pytest.mark.parametrize("distance", [REACH + 1, -REACH - 1])
+def test_too_distant_set_point_is_refused_with_the_maximum(shaft: int, distance: int) -> None:
     subject = arbiter(at(shaft), at(0))
-    value = (shaft + way) * LSB
+    value = (shaft + distance) * LSB
     text = refused(subject, request({0: value}))
     low, high = (shaft - REACH) * LSB, (shaft + REACH) * LSB
     assert f"position of axis1 is {value:g} rad, outside {low:g} .. {high:g} rad" in text
@@ -235,7 +235,7 @@ def test_set_points_are_refused_before_enable_even_in_spin() -> None:
     assert "call the service enable with data: true first" in refused(subject, request({0: 1.0}))
 
 
-def test_the_axis_that_is_not_ready_is_named() -> None:
+def test_refusal_names_the_axis_that_is_not_ready() -> None:
     text = refused(arbiter(SPINNING, AxisStatus("RUN/ALIGN", False)), request({0: 1.0, 1: 1.0}))
     assert "axis2 is in RUN/ALIGN" in text
     assert "wait until armed is true" in text
@@ -261,11 +261,11 @@ def test_refusal_in_fault_names_the_remedy() -> None:
         (Mode.TORQUE, 0.2, "effort of axis1 is 0.2 N m, outside -0.1848 .. 0.1848 N m"),
     ],
 )
-def test_limits_of_the_board(mode: Mode, value: float, text: str) -> None:
+def test_set_points_beyond_the_limits_of_the_board_are_refused(mode: Mode, value: float, text: str) -> None:
     assert text in refused(arbiter(), request({0: value}, mode))
 
 
-def test_limits_of_the_configuration_and_their_edges() -> None:
+def test_configured_limits_are_inclusive() -> None:
     subject = arbiter(limits=JointLimits(-1.0, 2.0, 10.0, 0.01))
     for mode, edges in ((Mode.POSITION, (-1.0, 2.0)), (Mode.SPEED, (-10.0, 10.0)), (Mode.TORQUE, (-0.01, 0.01))):
         for edge in edges:
@@ -273,14 +273,14 @@ def test_limits_of_the_configuration_and_their_edges() -> None:
             assert "outside" in refused(subject, request({0: edge * 1.001}, mode))
 
 
-def test_the_largest_effort_of_the_board_passes() -> None:
+def test_the_largest_effort_of_the_board_is_accepted() -> None:
     subject = arbiter()
     subject.submit(request({0: 4.0 * KT[0], 1: -4.0 * KT[1]}, Mode.TORQUE))
     limit = CATALOGUE["cmd.i_q"].to_raw(4.0)
     assert drain(subject)[1].raw == (limit, -limit)
 
 
-def test_effort_without_a_torque_constant() -> None:
+def test_effort_without_a_torque_constant_is_refused() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     subject.release()
     subject.update_axes([SPINNING, SPINNING])
@@ -374,7 +374,7 @@ def test_armed_if_all_joints_accept_set_points() -> None:
     assert not arbiter(SPINNING, STOPPED).armed
 
 
-def test_masks_and_numbers_per_axis() -> None:
+def test_command_write_has_mask_and_numbers_per_axis() -> None:
     assert (CommandWrite("cmd.mode", 0, (1, 2)).mask, CommandWrite("cmd.mode", 0, (1, 2)).numbers()) == (3, (1, 2))
     assert (CommandWrite("cmd.mode", 1, (2,)).mask, CommandWrite("cmd.mode", 1, (2,)).numbers()) == (2, (0, 2))
 
@@ -402,7 +402,7 @@ def test_alternating_sources_are_a_conflict_but_one_change_is_not() -> None:
     subject.submit(request({0: 1.0}))
     subject.submit(request({1: 1.0}, Mode.SPEED))
     subject.submit(request({0: 1.0}, Mode.SPEED))
-    assert sources.conflict() is None, "another axis, then a take-over"
+    assert sources.conflict() is None, "another axis, then one change of the source"
     clock.now += 0.9
     subject.submit(request({0: 1.0}))
     expected = Conflict("axis1", Source("joint_commands", "position"), Source("joint_commands", "velocity"))
@@ -412,7 +412,7 @@ def test_alternating_sources_are_a_conflict_but_one_change_is_not() -> None:
     subject.submit(request({0: 1.0}, source="commands"))
     clock.now += 1.0
     subject.submit(request({0: 1.0}))
-    assert sources.conflict() is None, "so slowly that they may be meant"
+    assert sources.conflict() is None, "slow changes may be intended"
 
 
 def test_refused_set_point_does_not_count_as_a_source() -> None:
@@ -451,6 +451,12 @@ class Following:
 
     def next_points(self) -> None:
         return None
+
+    def points_accepted(self, axes: Iterable[int]) -> None:
+        pass
+
+    def postpone(self, axes: Collection[int]) -> bool:
+        return False
 
     def cancel(self, axis: int, reason: str) -> None:
         self.axes.discard(axis)

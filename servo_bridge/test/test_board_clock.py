@@ -29,8 +29,8 @@ def test_ticks_are_unwrapped_beyond_32_bits(start: int, steps: list[int]) -> Non
 @pytest.mark.parametrize(
     ("last", "gap_s", "raw"),
     [
-        (1_000_000, 0.01, 0),  # goes back
-        (0xF000_0000, 0.01, 100),  # goes back by more than half of the range, which looks like a jump forward
+        (1_000_000, 0.01, 0),  # decreases
+        (0xF000_0000, 0.01, 100),  # decreases by more than half of the range, which looks like a jump forward
         (5 * 16_000, 60.0, 8 * 16_000),  # wrapped unobserved
     ],
 )
@@ -115,7 +115,7 @@ def test_a_late_first_sample_is_corrected_soon() -> None:
     assert clock.host_ns(160 * 399) == pytest.approx(10 * MS * 399, abs=3 * MS)
 
 
-def test_after_a_standstill_the_clock_jumps() -> None:
+def test_stopped_clock_is_resynchronised_by_a_jump() -> None:
     clock = BoardClock()
     for k in range(100):
         clock.update(160 * k, 10 * MS * k)

@@ -1,4 +1,4 @@
-"""The bridge as a process on a real pty with a fake board: errors of the port, and the end."""
+"""The bridge as a process on a real pty with a fake board: errors of the port, and its end."""
 
 from __future__ import annotations
 

@@ -50,8 +50,8 @@ def test_parameters_are_set_and_read_back(rig: Rig, command: Command) -> None:
     status, out, _ = command("set", "param.features[1]=none")
     assert (status, out) == (0, "param.features[1] = 0 (none)\n")
     assert rig.parameters()["param.features"] == [24, 0]
-    wanted = rig.bridge.get_parameter("board_parameters").value
-    assert wanted == ["param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5", "param.features[1]=none"]
+    requested = rig.bridge.get_parameter("board_parameters").value
+    assert requested == ["param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5", "param.features[1]=none"]
     status, out, _ = command("get")
     assert status == 0
     assert len(out.splitlines()) == len(rig.parameters())
@@ -92,7 +92,7 @@ def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> N
     assert "    winding at 118 deg C: current limit derated to 75 %" in out.splitlines()
 
 
-def test_state_names_parameters_that_the_board_does_not_take(rig: Rig, command: Command) -> None:
+def test_state_names_parameters_refused_by_the_board(rig: Rig, command: Command) -> None:
     rig.connect(STOP, STOP)
     rig.link.rejected_parameter = "param.over_speed"
     assert rig.set_parameter("board_parameters", ["param.over_speed[0]=300"])[0]
@@ -103,8 +103,8 @@ def test_state_names_parameters_that_the_board_does_not_take(rig: Rig, command: 
     assert out.splitlines()[-1].startswith("  parameters: param.over_speed is 1.0")
 
 
-def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command) -> None:
-    """With a board that refuses a value in the range of the bridge."""
+def test_set_reports_a_parameter_refused_by_the_board(rig: Rig, command: Command) -> None:
+    """The board refuses a value within the range of the bridge."""
     rig.connect(STOP, STOP)
     rig.link.rejected_parameter = "param.over_speed"
     status, _, err = command("set", "param.over_speed=310,310", wait=5.0)
@@ -114,7 +114,7 @@ def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command)
     assert "requested 310, 310 rad/s" in err
 
 
-def test_without_a_board(rig: Rig, command: Command) -> None:
+def test_commands_without_a_board_report_the_reason(rig: Rig, command: Command) -> None:
     rig.connect(STOP, STOP)
     rig.link.disconnect(LinkState.DISCONNECTED, "gone")
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
@@ -140,7 +140,9 @@ def test_without_a_board(rig: Rig, command: Command) -> None:
         (["get", "param.i_q_limt"], "did you mean param.i_q_limit"),
     ],
 )
-def test_wrong_command_lines(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_command_lines_are_usage_errors(
+    arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == 2

@@ -37,17 +37,17 @@ def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1
 
 @pytest.mark.parametrize("gear_ratio", [1.0, 3.0])
 def test_dry_run_prints_the_current_of_the_acceleration(gear_ratio: float) -> None:
-    said = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, with (\S+) of 4 A", report(MOTORS, gear_ratio))
-    assert said is not None
-    acceleration, current = map(float, said.groups())
+    printed = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, with (\S+) of 4 A", report(MOTORS, gear_ratio))
+    assert printed is not None
+    acceleration, current = map(float, printed.groups())
     assert current == pytest.approx(acceleration * gear_ratio * 8.0e-6 / 0.05, rel=0.01)
     assert acceleration == pytest.approx(1000.0, rel=0.2)
 
 
-def test_a_motor_that_is_not_known_has_no_current() -> None:
+def test_current_of_an_unknown_motor_is_not_reported() -> None:
     assert "with an unknown current of 4 A" in report([])
 
 
-def test_a_path_that_needs_more_torque_than_the_current_gives_is_refused() -> None:
+def test_a_path_beyond_the_torque_of_the_current_limit_is_refused() -> None:
     with pytest.raises(TrajectoryError, match="torque"):
         report([Motor(0.05, 8.0e-4), MOTORS[1]], acceleration=400.0)

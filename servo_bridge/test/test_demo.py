@@ -135,8 +135,8 @@ class FakeClient:
         return self.tick * 62_500
 
 
-def run(client: FakeClient, said: list[str] | None = None) -> Demo:
-    lines: list[str] = [] if said is None else said
+def run(client: FakeClient, output: list[str] | None = None) -> Demo:
+    lines: list[str] = [] if output is None else output
     demo = Demo(client, 2 * COUNT, 3.0, lines.append)  # type: ignore[arg-type]
     demo.connect(1.0, require_twin=False)
     demo.enable()
@@ -151,8 +151,8 @@ def test_fake_has_the_interface_of_the_client() -> None:
 
 
 def test_every_kind_of_move_is_made_and_measured() -> None:
-    client, said = FakeClient(twin_gap=3 * COUNT), list[str]()
-    demo = run(client, said)
+    client, output = FakeClient(twin_gap=3 * COUNT), list[str]()
+    demo = run(client, output)
     moves = [(row.move, row.axis) for row in demo.rows]
     both = ["simultaneous", "reversal", "stop", "return"]
     assert moves == [("point to point", "axis1"), ("point to point", "axis2")] + [
@@ -175,7 +175,7 @@ def test_every_kind_of_move_is_made_and_measured() -> None:
     assert first.residual.rms == pytest.approx(3 * COUNT)
     stops = [row.figures for row in demo.rows if row.move == "stop"]
     assert 14.9 * TURN < stops[0].reached < 15.2 * TURN
-    assert any("half way: reversing" in line for line in said)
+    assert any("half way: reversing" in line for line in output)
 
 
 def test_targets_are_whole_turns_near_the_shafts() -> None:
@@ -193,7 +193,7 @@ def test_axis_that_stops_short_fails_with_all_other_results() -> None:
     assert not any(row.figures.arrived for row in demo.rows if row.axis == "axis2" and row.move != "stop")
 
 
-def test_an_axis_that_leaves_the_path_fails() -> None:
+def test_an_axis_that_leaves_the_path_fails_the_demonstration() -> None:
     client = FakeClient()
     client.path_error = 0.03
     demo = run(client)
@@ -203,11 +203,11 @@ def test_an_axis_that_leaves_the_path_fails() -> None:
 
 
 def test_a_path_that_the_board_refuses_is_sent_again() -> None:
-    client, said = FakeClient(), list[str]()
+    client, output = FakeClient(), list[str]()
     client.refusals = 2
-    demo = run(client, said)
+    demo = run(client, output)
     assert passed(demo.rows, demo.paths, twin=demo.twin)
-    assert sum("no cmd.points took effect" in line for line in said) == 2
+    assert sum("no cmd.points took effect" in line for line in output) == 2
     client = FakeClient()
     client.refusals = 3
     with pytest.raises(DemoError, match="not accepted in 3 attempts"):
@@ -238,7 +238,7 @@ def test_demonstration_waits_for_a_lagging_twin() -> None:
     demo = run(client)
     for row in demo.rows:
         assert row.residual is not None
-        assert row.residual.samples >= 0.25 / SAMPLE  # all of the hold at the end as well
+        assert row.residual.samples >= 0.25 / SAMPLE  # including the complete hold at the end
 
 
 def test_fault_ends_the_demonstration_with_cause_and_remedy() -> None:
@@ -275,7 +275,7 @@ def test_path_table_has_a_line_per_axis() -> None:
     assert path_table([path_row(ticks_apart=1)]).count("NOT FOLLOWED") == 2
 
 
-def test_table_shows_figures_in_handy_units() -> None:
+def test_table_shows_figures_in_suitable_units() -> None:
     lines = table([row(residual=Residual(COUNT, 4 * COUNT, 9)), row(arrived=False)]).splitlines()
     assert lines[3].split()[3:7] == ["axis1", "5.0000", "5.0003", "+1.0"]
     assert lines[3].split()[7:] == ["500", "2.0", "63.7", "127.3", "1.0", "4.0", "ok"]
@@ -337,10 +337,10 @@ def test_an_interrupted_demonstration_disables_the_axes(
         with rig.samples(before_sample):
             assert demo_module.main([]) == 130
         assert rig.link.written[-1] == ("cmd.enable", 0, (0, 0))
-    said = capfd.readouterr()
-    assert "disabled: axis1=STOP axis2=STOP" in said.out
-    assert "servo-demo: interrupted" in said.err
-    assert "Traceback" not in said.err
+    output = capfd.readouterr()
+    assert "disabled: axis1=STOP axis2=STOP" in output.out
+    assert "servo-demo: interrupted" in output.err
+    assert "Traceback" not in output.err
 
 
 @pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--timeout", "-1"], ["--colour"]])

@@ -21,10 +21,10 @@ def test_packaged_description_agrees_with_the_defaults() -> None:
 
 def test_the_shipped_controllers_move_the_joints_of_the_shipped_description() -> None:
     controllers = yaml.safe_load((PACKAGE / "config" / "ros2_controllers.yaml").read_text())
-    wanted = controllers["/**/joint_trajectory_controller"]["ros__parameters"]
-    assert wanted["joints"] == joint_names(joints_of(description_from_file()))
-    assert set(wanted["constraints"]) >= set(wanted["joints"])
-    assert set(wanted["command_interfaces"]) == {"position", "velocity"}
+    expected = controllers["/**/joint_trajectory_controller"]["ros__parameters"]
+    assert expected["joints"] == joint_names(joints_of(description_from_file()))
+    assert set(expected["constraints"]) >= set(expected["joints"])
+    assert set(expected["command_interfaces"]) == {"position", "velocity"}
 
 
 def test_joints_and_topics_follow_the_file_and_the_namespace(tmp_path: Path) -> None:
@@ -36,14 +36,14 @@ def test_joints_and_topics_follow_the_file_and_the_namespace(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [("direction: [3, 1]", "direction of axis1 is 3"), ("joints: [a, a]", "parameter joints"), (None, "No such file")],
 )
 def test_invalid_file_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, message: str
 ) -> None:
     file = tmp_path / "my.yaml"
     if content is not None:
         file.write_text(f"/**:\n  ros__parameters:\n    {content}\n")
     assert main(["--params", str(file)]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err

@@ -29,7 +29,7 @@ def test_every_reference_has_its_object() -> None:
     assert all(element.get("type") for element in OBJECTS.values())
 
 
-def test_every_number_of_the_catalogue_is_in_it() -> None:
+def test_project_contains_every_number_of_the_catalogue() -> None:
     expected = {v.name for v in CATALOGUE.variables.values() if v.type != "block" and v.count == 1}
     assert expected <= VARIABLES.keys()
     assert {"cmd.position[0]", "cmd.position[1]"} <= VARIABLES.keys()
@@ -45,7 +45,7 @@ def test_values_are_scaled_to_si(name: str) -> None:
     assert (found["treat_as"], found["address"]) == (str(int(variable.raw_type.signed)), name)
 
 
-def test_states_have_their_names_and_only_commands_can_be_changed() -> None:
+def test_states_have_their_labels_and_only_commands_are_writable() -> None:
     assert (VARIABLES["axis1.state"]["enum"], VARIABLES["axis1.state"]["enum_enabled"]) == ("state_t", "1")
     items = [members(e) for e in OBJECTS.values() if e.get("type") == "CEnumItem"]
     assert {"FAULT": "0", "STOP": "2"}.items() <= {item["name"]: item["value_min"] for item in items}.items()

@@ -34,8 +34,9 @@ class Queue(SetPointQueue):
     def accepted(self, write: CommandWrite) -> None:
         self.taken.append(write)
 
-    def failed(self, write: CommandWrite) -> None:
+    def failed(self, write: CommandWrite) -> bool:
         self.void.append(write)
+        return True
 
 
 class Rig:
@@ -83,7 +84,7 @@ def test_next_write_is_sent_after_the_sample_that_confirms_the_previous_one() ->
     assert rig.sent[1:] == [position(2)]
 
 
-def test_ticks_and_counts_wrap() -> None:
+def test_confirmation_works_across_the_wrap_of_ticks_and_counts() -> None:
     rig = Rig(CommandWrite("cmd.i_q", 1, (-5,)))
     rig.dispatcher.open()
     start = (1 << 32) - 8

@@ -66,7 +66,9 @@ def test_record_is_read_in_several_pieces(faulted: FakeServo, connected: Watcher
     assert len(addresses) >= 3
 
 
-def test_link_loss_during_the_read_of_a_record(faulted: FakeServo, fake_port: FakePort, connected: Watcher) -> None:
+def test_record_is_read_again_after_link_loss_during_the_read(
+    faulted: FakeServo, fake_port: FakePort, connected: Watcher
+) -> None:
     """The read fails, and the record is read after the reconnection."""
     reached = stop_answers_in_the_record(faulted, fake_port)
     reading = connected.link.read("axis1.fault_record")
@@ -108,7 +110,7 @@ def test_snapshot_prints_fault_remedy_and_samples(
     assert second == "axis2: no fault"
 
 
-def test_snapshot_as_a_picture(faulted: FakeServo, run: Run, tmp_path: Path) -> None:
+def test_snapshot_is_drawn_as_a_picture(faulted: FakeServo, run: Run, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "fault.png"
     assert run("snapshot", "--plot", str(picture)) == 0
@@ -116,7 +118,7 @@ def test_snapshot_as_a_picture(faulted: FakeServo, run: Run, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("axis", "status", "text"), [("1", 0, "PHASE_LOST"), ("2", 1, "axis2: no fault")])
-def test_snapshot_of_one_axis(
+def test_snapshot_prints_the_selected_axis_only(
     faulted: FakeServo, run: Run, axis: str, status: int, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("snapshot", axis) == status

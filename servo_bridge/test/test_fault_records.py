@@ -7,6 +7,7 @@ from concurrent.futures import Future
 
 import numpy as np
 import pytest
+from board_context_rig import board_context
 from recorded_fault import NONE, SIZE, recorded
 from servo_bridge.fault_records import SECOND_READ, FaultRecords
 from servo_bridge.freemaster.errors import AnswerTimeoutError
@@ -28,7 +29,7 @@ class RecordsRig:
         self.reads: list[tuple[str, Future[Value]]] = []
         self.changed: list[FaultRecord] = []
         self.posted: list[Callable[[], None]] = []
-        self.records = FaultRecords(CATALOGUE, self._read, self.posted.append, self.changed.append)
+        self.records = FaultRecords(board_context(self._read, self.posted.append), self.changed.append)
 
     def _read(self, name: str) -> Future[Value]:
         future: Future[Value] = Future()
@@ -103,7 +104,7 @@ def test_revised_cause_of_a_fault_is_published(rig: RecordsRig) -> None:
     assert rig.snapshot(16 + 3 * SECOND_READ, OVER_CURRENT, 0) == []
 
 
-def test_a_fault_after_clearing_is_a_first_one(rig: RecordsRig) -> None:
+def test_a_fault_after_clearing_is_read_as_a_first_fault(rig: RecordsRig) -> None:
     rig.snapshot(16, OVER_CURRENT, 0)
     rig.answer(recorded("OVER_CURRENT", 11))
     assert rig.snapshot(24, 0, 0) == []
@@ -113,7 +114,7 @@ def test_a_fault_after_clearing_is_a_first_one(rig: RecordsRig) -> None:
     assert rig.names() == ["OVER_CURRENT", "OVER_VOLTAGE"]
 
 
-def test_a_fault_that_is_cleared_before_its_record_has_come(rig: RecordsRig) -> None:
+def test_record_of_a_cleared_fault_is_not_published(rig: RecordsRig) -> None:
     rig.snapshot(16, OVER_CURRENT, 0)
     rig.snapshot(24, 0, 0)
     rig.answer(recorded("OVER_CURRENT", 11))
@@ -147,8 +148,8 @@ def test_invalid_record_is_not_published(rig: RecordsRig, data: bytes) -> None:
     assert rig.changed == []
 
 
-# ---- what has become of a job ---------------------------------------------------------------------------------------
-def test_outcome_of_a_job() -> None:
+# ---- result of a job ------------------------------------------------------------------------------------------------
+def test_error_of_pending_successful_and_cancelled_jobs() -> None:
     job: Future[int] = Future()
     assert error_of(job) == "it is not done yet"
     job.set_result(0)
@@ -159,7 +160,7 @@ def test_outcome_of_a_job() -> None:
 
 
 @pytest.mark.parametrize(("error", "text"), [(LinkDownError("no link"), "no link"), (KeyError(), "KeyError")])
-def test_a_job_that_has_failed_says_why(error: Exception, text: str) -> None:
+def test_error_of_a_failed_job_is_its_reason(error: Exception, text: str) -> None:
     job: Future[int] = Future()
     job.set_exception(error)
     assert error_of(job) == text

@@ -43,7 +43,7 @@ def test_identify_reads_the_configuration_values() -> None:
     assert client.mtu == 100
 
 
-def test_identify_a_target_with_minimal_configuration() -> None:
+def test_identify_accepts_a_target_with_minimal_configuration() -> None:
     target = FakeTarget()
     target.config = {"MTU": b"\x20"}
     info = client_on(FakeTransport(target.feed)).identify()
@@ -77,7 +77,7 @@ def test_bad_line_is_not_reported_as_another_protocol() -> None:
 
 
 @given(st.binary(max_size=80))
-def test_garbage_ends_in_a_named_error(garbage: bytes) -> None:
+def test_garbage_gives_a_specific_error(garbage: bytes) -> None:
     client = client_on(FakeTransport(lambda _: garbage), retries=1)
     with contextlib.suppress(FreemasterError):
         client.identify()
@@ -97,7 +97,7 @@ def test_reads_are_split_by_the_buffer(mtu: int, sizes: list[int]) -> None:
             for (_, payload), size in zip(target.requests, sizes, strict=True)] == sizes  # fmt: skip
 
 
-def test_nothing_to_read_asks_nothing() -> None:
+def test_empty_reads_send_no_request() -> None:
     target = FakeTarget()
     client = connected(target)
     assert client.read_memory(0x1000, 0) == b""
@@ -151,7 +151,7 @@ def test_scope_is_set_up_in_pieces_for_a_small_buffer() -> None:
     assert len(client.exchange(request).data) == 8
 
 
-def test_a_scope_that_does_not_fit() -> None:
+def test_a_scope_that_does_not_fit_is_refused() -> None:
     client = connected(FakeTarget(mtu=32, safety=False))
     with pytest.raises(CodecError, match="do not fit one response"):
         client.set_scope([ScopeSlot(0x1000, 8)] * 5)
@@ -160,7 +160,7 @@ def test_a_scope_that_does_not_fit() -> None:
         client.set_scope([ScopeSlot(0x1000, 2)] * 9)
 
 
-def test_application_command_with_result() -> None:
+def test_application_command_returns_its_result() -> None:
     target = FakeTarget(commands={0x11: lambda arguments: 0x42 if arguments == b"\x01\x02\xd4" else 0})
     client = connected(target)
     assert client.run_command(0x11, b"\x01\x02\xd4") == 0x42
@@ -221,7 +221,7 @@ def test_password_gives_the_highest_possible_level(passwords: dict[int, str], gi
     assert client.log_in(given, 1) == 1
 
 
-def test_the_key_of_a_password() -> None:
+def test_key_of_a_password_is_the_salted_hash() -> None:
     inner = hashlib.sha1(b"secret").digest()
     salt = bytes(range(16))
     assert password_key("secret", salt) == hashlib.sha1(salt + inner + salt).digest()

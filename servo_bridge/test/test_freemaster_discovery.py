@@ -29,7 +29,7 @@ def find_all(target: FakeTarget) -> dict[str, TargetVariable]:
 @pytest.mark.parametrize("width", [2, 4, 8])
 @pytest.mark.parametrize("mtu", [32, 240, 254])
 @pytest.mark.parametrize("safety", [True, False])
-def test_every_entry_width_and_buffer_size(width: int, mtu: int, safety: bool) -> None:
+def test_every_entry_width_and_buffer_size_is_supported(width: int, mtu: int, safety: bool) -> None:
     base = 0x2000 if width == 2 else 0x2000_0000
     table = [FakeEntry(f"motor.variable_number_{k}", b"\xf1", base + 2 * k, 2, RW if k % 2 else RO) for k in range(30)]
     target = FakeTarget(mtu=mtu, field_width=width, safety=safety, tables=[table])
@@ -49,7 +49,7 @@ def test_all_tables_are_read() -> None:
     assert list(find_all(target)) == ["t0.x", "t1.x", "t2.x", "t3.x"]
 
 
-def test_big_endian_target() -> None:
+def test_big_endian_target_is_read() -> None:
     target = FakeTarget(big_endian=True, tables=[[FakeEntry("x", b"\xf1", 0x2000_0000, 4, RW)]])
     found = find_all(target)["x"]
     assert found.decode(b"\xff\xfe\x01\x00") == [-2, 256]
@@ -63,7 +63,7 @@ def test_shared_strings_are_read_once() -> None:
     assert [command for command, _ in target.requests].count(0x2A) == 21
 
 
-def test_structures_are_opened() -> None:
+def test_members_of_structures_are_found() -> None:
     point = [
         FakeEntry("point_t", STRUCT, 0, 6, NONE),
         FakeEntry("x", b"\xf1", 0, 2, NONE),
@@ -87,7 +87,7 @@ def test_recursive_structure_terminates() -> None:
     assert list(find_all(FakeTarget(tables=[[*loop, FakeEntry("v", b"t", 0x1000, 4, RO)]]))) == ["v", "v.again"]
 
 
-def test_an_array_of_structures_shows_its_elements() -> None:
+def test_elements_of_an_array_of_structures_are_found() -> None:
     point = [
         FakeEntry("point_t", STRUCT, 0, 6, NONE),
         FakeEntry("x", b"\xf1", 0, 2, NONE),
@@ -115,7 +115,7 @@ def test_expansion_of_structures_is_limited() -> None:
     assert 0 < len(found) < 100_000
 
 
-def test_constants_behind_an_enumeration_are_its_labels() -> None:
+def test_constants_after_an_enumeration_are_its_labels() -> None:
     rows = [
         FakeEntry("state_t", ENUM, 0, 2, NONE),
         FakeEntry("OFF", CONST, 0, 0, NONE),
@@ -129,7 +129,7 @@ def test_constants_behind_an_enumeration_are_its_labels() -> None:
     assert found.type.label(7) is None
 
 
-def test_entries_that_are_no_variables_are_left_out() -> None:
+def test_entries_that_are_no_variables_are_omitted() -> None:
     rows = [
         FakeEntry("path", b"\xed:DIR", 0, 0, RW),
         FakeEntry("file.htm", b"\xec:MEMFILE", 0x5000, 100, RW),
@@ -144,7 +144,7 @@ def test_entries_that_are_no_variables_are_left_out() -> None:
     assert not found["x"].writable
 
 
-def test_variables_without_a_known_type() -> None:
+def test_variables_of_unknown_type_are_read_by_their_size() -> None:
     rows = [
         FakeEntry("untyped", None, 0x1000, 4, RO),
         FakeEntry("block", None, 0x1010, 100, RO),
@@ -172,7 +172,7 @@ def test_unreadable_text_does_not_end_discovery() -> None:
     assert [v.name for v in discover(client, client.identify())] == ["seen", f"0x{place:X}"]
 
 
-def test_a_target_without_tables() -> None:
+def test_a_target_without_tables_is_an_error() -> None:
     with pytest.raises(DiscoveryError, match="no table of variables"):
         find_all(FakeTarget(tables=[]))
     refusing = FakeTarget()
@@ -182,7 +182,7 @@ def test_a_target_without_tables() -> None:
         discover(client, client.identify())
 
 
-def test_a_table_of_impossible_size() -> None:
+def test_a_table_of_impossible_size_is_an_error() -> None:
     target = FakeTarget()
     target._table_ranges = [(0x1000, 1 << 30)]
     client = client_on(FakeTransport(target.feed))
@@ -271,6 +271,6 @@ def test_any_table_is_accepted(entries: list[Entry]) -> None:
         (ValueType(TypeKind.SIGNED, 2, "i16"), float("inf"), "not a finite"),
     ],
 )
-def test_values_that_do_not_fit(type_: ValueType, value: Number, text: str) -> None:
+def test_values_out_of_range_are_refused(type_: ValueType, value: Number, text: str) -> None:
     with pytest.raises(ValueError, match=text):
         type_.encode(value)

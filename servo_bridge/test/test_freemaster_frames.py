@@ -122,7 +122,7 @@ def test_sleb_reference_values(value: int, wire: str) -> None:
     assert encode_sleb(value) == bytes.fromhex(wire)
 
 
-def test_padded_numbers_are_understood() -> None:
+def test_padded_numbers_are_accepted() -> None:
     assert decode_uleb(bytes.fromhex("82 00")) == (2, 2)
     assert decode_uleb(bytes.fromhex("A0 80 80 80 82 00")) == (0x20000020, 6)
     assert decode_uleb(b"\xff" * 12 + b"\x01")[0] == (1 << 64) - 1
@@ -140,7 +140,7 @@ def test_sleb_round_trip(value: int) -> None:
 
 
 @pytest.mark.parametrize("cut", [b"", b"\x80", b"\xff\xff"])
-def test_numbers_that_are_cut_off(cut: bytes) -> None:
+def test_truncated_numbers_are_errors(cut: bytes) -> None:
     with pytest.raises(CodecError, match="cut off"):
         decode_uleb(cut)
 
@@ -181,12 +181,12 @@ def parse(parser: AnswerParser, chunks: list[bytes]) -> Answer | None:
 
 
 @given(st.binary(max_size=252), st.lists(st.integers(0, 600), max_size=8))
-def test_fixed_answer_in_any_pieces(data: bytes, cuts: list[int]) -> None:
+def test_fixed_answer_is_parsed_in_any_pieces(data: bytes, cuts: list[int]) -> None:
     assert parse(AnswerParser(len(data)), split(answer_frame(0, data), cuts)) == Answer(0, data)
 
 
 @given(st.binary(max_size=252), st.lists(st.integers(0, 600), max_size=8))
-def test_variable_answer_in_any_pieces(data: bytes, cuts: list[int]) -> None:
+def test_variable_answer_is_parsed_in_any_pieces(data: bytes, cuts: list[int]) -> None:
     assert parse(AnswerParser(), split(answer_frame(0x40, data), cuts)) == Answer(0x40, data)
 
 
@@ -219,7 +219,7 @@ def test_bytes_after_an_answer_are_counted(extra: bytes) -> None:
         assert parser.trailing
 
 
-def test_damage_is_counted_and_the_next_frame_found() -> None:
+def test_damage_is_counted_and_the_next_frame_is_parsed() -> None:
     parser = AnswerParser(2)
     broken = bytearray(answer_frame(0, b"ab"))
     broken[2] ^= 0x01

@@ -29,7 +29,7 @@ def answers(*frames: bytes | list[tuple[int, bytes]]) -> FakeTransport:
     return FakeTransport(lambda _: queue.pop(0) if queue else b"")
 
 
-def test_one_exchange_with_its_times() -> None:
+def test_exchange_returns_data_and_times() -> None:
     transport = answers(GOOD)
     exchange = line_on(transport).exchange(READ)
     assert exchange.data == b"\x34\x12"
@@ -73,12 +73,12 @@ def test_continuous_noise_does_not_block_the_client() -> None:
 
 
 def test_line_without_silence_does_not_block_the_client() -> None:
-    class Chatterbox(FakeTransport):
+    class ContinuousSender(FakeTransport):
         def read(self, deadline: int) -> bytes:
             self.now += MS
             return b"x" * 5000
 
-    transport = Chatterbox(lambda _: b"")
+    transport = ContinuousSender(lambda _: b"")
     line = line_on(transport, retries=0)
     start = transport.now
     for _ in range(3):
@@ -87,7 +87,7 @@ def test_line_without_silence_does_not_block_the_client() -> None:
     assert transport.now - start < 3000 * MS
 
 
-def test_a_lost_answer_is_asked_for_again() -> None:
+def test_a_request_with_a_lost_answer_is_repeated() -> None:
     transport = answers(b"", b"", GOOD)
     line = line_on(transport)
     assert line.exchange(READ).data == b"\x34\x12"
@@ -102,7 +102,7 @@ def test_after_its_retries_a_request_times_out() -> None:
     assert len(transport.requests) == 3
 
 
-def test_a_damaged_answer_is_asked_for_again() -> None:
+def test_a_request_with_a_damaged_answer_is_repeated() -> None:
     transport = answers(b"+\x00\x34\x13\xd3", GOOD)
     line = line_on(transport)
     assert line.exchange(READ).data == b"\x34\x12"
@@ -148,20 +148,20 @@ def test_an_application_command_is_never_repeated() -> None:
     assert len(transport.requests) == 1
 
 
-def test_a_request_that_arrived_damaged_is_sent_again() -> None:
+def test_a_request_received_damaged_is_repeated() -> None:
     transport = answers(b"+\x82\x87", b"+\x83\x80", OK)
     request = commands.send_command(1)
     line_on(transport).exchange(request)
     assert transport.requests == [request.frame] * 3
 
 
-def test_requests_that_always_arrive_damaged() -> None:
+def test_requests_always_received_damaged_are_an_error() -> None:
     transport = FakeTransport(lambda _: b"+\x82\x87")
     with pytest.raises(DisturbedRequestError):
         line_on(transport).exchange(READ)
 
 
-def test_a_refusal_is_final_and_named() -> None:
+def test_a_refusal_is_not_repeated_and_gives_its_reason() -> None:
     transport = answers(b"+\x89\xb6")
     with pytest.raises(StatusError, match="access denied") as caught:
         line_on(transport).exchange(READ)
@@ -169,7 +169,7 @@ def test_a_refusal_is_final_and_named() -> None:
     assert len(transport.requests) == 1
 
 
-def test_an_answer_of_the_wrong_form() -> None:
+def test_an_answer_of_the_wrong_form_is_an_error() -> None:
     wrong = bytes.fromhex("2B 40 01 09 AC")
     transport = FakeTransport(lambda _: wrong)
     with pytest.raises(DamagedAnswerError, match="wrong form"):
@@ -182,7 +182,7 @@ def test_the_echo_of_single_wire_hardware_is_skipped() -> None:
     assert client_on(transport).read_memory(0x2B2B2B, 16) == bytes(16)
 
 
-def test_a_lost_port_is_passed_on() -> None:
+def test_error_of_a_lost_port_is_raised() -> None:
     def gone(_: bytes) -> bytes:
         raise TransportError("gone")
 
@@ -205,7 +205,7 @@ def test_work_is_done_while_waiting_for_the_answer() -> None:
     assert seen[1:] == [(0, 0)]
 
 
-def test_the_owner_can_stop_a_long_job() -> None:
+def test_exception_of_the_owner_stops_a_long_job() -> None:
     class StopError(Exception):
         pass
 
@@ -219,6 +219,6 @@ def test_the_owner_can_stop_a_long_job() -> None:
 
 
 @pytest.mark.parametrize("options", [{"baud": 0}, {"latency": -1.0}, {"retries": -1}])
-def test_settings_that_make_no_sense(options: dict[str, float]) -> None:
+def test_invalid_settings_are_refused(options: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="not a usable combination"):
         line_on(answers(), **options)

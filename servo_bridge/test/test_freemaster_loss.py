@@ -31,7 +31,7 @@ def a_line(kind: type[FakeTarget] = FakeTarget, **options: object) -> tuple[Fake
     return target, line, client
 
 
-def test_a_lost_request_costs_less_than_three_round_trips() -> None:
+def test_a_lost_request_delays_by_less_than_three_round_trips() -> None:
     _, line, client = a_line()
     request = client.set_scope([ScopeSlot(BASE + 2 * k, 2) for k in range(8)])
     usual = [exchange.response_ns - exchange.request_ns for exchange in (client.exchange(request) for _ in range(50))]
@@ -125,7 +125,7 @@ def test_discovery_over_a_bad_line_is_right_or_fails(kind: type[FakeTarget]) -> 
     assert [(v.name, v.address) for v in found] == [(f"w{k}", BASE + 2 * k) for k in range(WORDS)]
 
 
-def test_the_estimate_follows_and_backs_off() -> None:
+def test_estimate_of_the_response_time_follows_and_backs_off() -> None:
     estimate = RoundTrip(200 * MS)
     assert estimate.allowance_ns == 200 * MS
     for _ in range(40):
@@ -148,7 +148,7 @@ def test_the_estimate_follows_and_backs_off() -> None:
     estimate.answered(30 * MS)
     for _ in range(40):
         estimate.answered(MS)
-    assert 10 * MS < estimate.allowance_ns < 30 * MS, "few answers are late, and those by far"
+    assert 10 * MS < estimate.allowance_ns < 30 * MS, "few answers are late, but by a large delay"
     estimate.answered(-5 * MS)
     estimate.answered(10_000 * MS)
     assert estimate.allowance_ns <= 200 * MS

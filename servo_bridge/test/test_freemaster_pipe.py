@@ -23,19 +23,19 @@ def test_both_streams_are_complete_on_a_bad_line(kind: type[FakeTarget], odd: bo
     line.lose_request = line.lose_answer = line.damage = 0.1
     written = bytes(line.random.randrange(256) for _ in range(3000))
     sent = bytes(line.random.randrange(256) for _ in range(300))
-    left, received, queued = sent, b"", 0
+    remaining, received, queued = sent, b"", 0
     pipe = client.pipe()
     for _ in range(5000):
         more = written[queued : queued + line.random.randrange(40)]
         queued += len(more)
         target.pipe += more
         try:
-            data, accepted = pipe.exchange(left[:10])
+            data, accepted = pipe.exchange(remaining[:10])
         except FreemasterError:
             continue
         received += data
-        left = left[accepted:]
-        if len(received) == len(written) and not left:
+        remaining = remaining[accepted:]
+        if len(received) == len(written) and not remaining:
             break
     assert received == written
     assert target.pipe_received == sent

@@ -78,7 +78,9 @@ def burst(target: FakeTarget, client: Client, setup: Setup) -> list[tuple[int, i
 @pytest.mark.parametrize(("kind", "mtu"), [(FakeTarget, 240), (FakeTarget, 32), (FakeTargetV3, 60)])
 @pytest.mark.parametrize("above", [True, False])
 @pytest.mark.parametrize("divider", [1, 3])
-def test_position_of_the_trigger(kind: type[FakeTarget], mtu: int, big_endian: bool, above: bool, divider: int) -> None:
+def test_trigger_is_at_the_requested_position(
+    kind: type[FakeTarget], mtu: int, big_endian: bool, above: bool, divider: int
+) -> None:
     target, client = a_target(kind, mtu=mtu, big_endian=big_endian)
     trigger = Trigger(WAVE, Compare.SIGNED, above, not above, -50)
     rows = burst(target, client, Setup((COUNT, WAVE), 100, 30, divider, trigger))
@@ -89,7 +91,7 @@ def test_position_of_the_trigger(kind: type[FakeTarget], mtu: int, big_endian: b
     assert (waves[29] >= -50) is not above
 
 
-def test_the_threshold_can_be_a_variable_and_the_trigger_is_not_stored_when_it_is_not_wanted() -> None:
+def test_threshold_can_be_a_variable_and_an_unselected_trigger_is_not_stored() -> None:
     _, client = a_target()
     trigger = Trigger(WAVE, Compare.SIGNED, True, False, threshold_address=LIMIT.address)
     recorder = client.recorder()
@@ -104,7 +106,7 @@ def test_the_threshold_can_be_a_variable_and_the_trigger_is_not_stored_when_it_i
     assert (tick + 100) % 400 - 100 == 40
 
 
-def test_a_level_fires_at_once_and_an_edge_does_not() -> None:
+def test_a_level_trigger_fires_at_once_and_an_edge_trigger_does_not() -> None:
     target, client = a_target()
     rows = burst(
         target, client, Setup((COUNT, WAVE), 20, 10, 1, Trigger(WAVE, Compare.SIGNED, True, False, -1000, level=True))
@@ -212,7 +214,7 @@ def test_set_up_matches_the_wire() -> None:
     )
 
 
-def test_the_reference_target() -> None:
+def test_limits_of_the_reference_target_are_read() -> None:
     answers = {
         "2B 25 02 00 81 D8": "2B 95 E2",
         "2B 25 02 00 82 D1": "2B 40 07 80 08 C0 84 3D 40 20 5B",

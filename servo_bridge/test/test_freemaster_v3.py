@@ -147,7 +147,7 @@ def test_a_target_is_identified_read_and_written(brief: bool, big_endian: bool, 
     assert client.exchange(request).data == target.peek(0x1012, 4) + b"\x0f\x2b"
 
 
-def test_the_description_and_flags_of_the_reference_target() -> None:
+def test_description_and_limits_of_the_reference_target_are_read() -> None:
     answer = bytes.fromhex(
         "2B 00 03 00 01 02 00 3C 00 02 E8 83 6F 72 61 63 6C 65 20 76 33 20 62 6F 61 72 64" + "00" * 10 + "EA"
     )

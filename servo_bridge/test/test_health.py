@@ -17,9 +17,9 @@ def status(health: Health, late: int, overruns: int) -> DiagnosticStatus:
     return health.board(BoardInfo(name="servo"), SNAPSHOT, counts)
 
 
-def test_a_late_loop_and_a_lost_byte_are_warnings_when_they_are_new() -> None:
+def test_new_late_loops_and_lost_bytes_are_warnings() -> None:
     health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
-    assert status(health, 3, 0).level == DiagnosticStatus.OK, "what was there before the connection is no news"
+    assert status(health, 3, 0).level == DiagnosticStatus.OK, "events before the connection are not reported"
     late = status(health, 5, 0)
     assert (late.level, late.message) == (DiagnosticStatus.WARN, "in the last second: 2 late loops")
     assert {value.key: value.value for value in late.values}["late loops"] == "5"
@@ -41,7 +41,7 @@ def test_late_loops_are_counted_across_the_wrap_of_the_counter() -> None:
 
 def axis_status(winding: Winding | None, limit: float | None, faults: int = 0) -> DiagnosticStatus:
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 2.0}
-    state = AxisStatus("RUN/SPIN", spinning=True)
+    state = AxisStatus("RUN/SPIN", accepts_set_points=True)
     snapshot = Snapshot(8, 0, 0, values, 0, 0, (state, state), (faults, 0))
     return Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).axis(0, snapshot, None, winding, limit)
 
@@ -53,7 +53,7 @@ def test_hot_winding_is_a_warning_with_the_derated_current() -> None:
     assert (about["winding [deg C]"], about["current limit left [%]"]) == ("80", "100")
     hot = axis_status(Winding(115.0, 3.0), 4.0)
     assert (hot.level, hot.message) == (DiagnosticStatus.WARN, "RUN/SPIN; hot winding: current limit derated to 75 %")
-    assert axis_status(Winding(115.0, 3.0), 2.5).level == DiagnosticStatus.OK, "the host allows less"
+    assert axis_status(Winding(115.0, 3.0), 2.5).level == DiagnosticStatus.OK, "limited by the host, not by temperature"
     mask = Catalogue.load().flag("faults", "MOTOR_TEMPERATURE").mask
     assert axis_status(Winding(145.0, 2.0), 4.0, mask).level == DiagnosticStatus.ERROR
 
@@ -64,17 +64,17 @@ def test_a_winding_that_has_not_been_read_is_not_shown() -> None:
     assert "winding [deg C]" not in {value.key for value in status.values}
 
 
-def test_the_inputs_of_an_axis_are_named_where_they_are_in_the_telemetry() -> None:
+def test_active_inputs_are_shown_if_they_are_in_the_telemetry() -> None:
     health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 0.0}
-    axes = (AxisStatus("STOP", spinning=False), AxisStatus("STOP", spinning=False))
+    axes = (AxisStatus("STOP", accepts_set_points=False), AxisStatus("STOP", accepts_set_points=False))
 
-    def said(**more: float) -> str | None:
+    def inputs(**more: float) -> str | None:
         snapshot = Snapshot(
             8, 0, 0, values | {f"axis1.{name}": value for name, value in more.items()}, 0, 0, axes, (0, 0)
         )
         return {value.key: value.value for value in health.axis(0, snapshot).values}.get("inputs")
 
-    assert said() is None
-    assert said(inputs=0.0) == "none"
-    assert said(inputs=9.0) == "HOME, ENABLE"
+    assert inputs() is None
+    assert inputs(inputs=0.0) == "none"
+    assert inputs(inputs=9.0) == "HOME, ENABLE"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import pytest
+from board_context_rig import board_context
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.homing import METHODS, Homing
@@ -31,17 +32,13 @@ class Rig:
         self.arbiter = Arbiter(CATALOGUE, joints)
         self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.log.append)
         self.homing = Homing(
-            CATALOGUE,
+            board_context(self._read, log=self.log.append),
             joints,
             [1.5, 0.0],
             restores,
             self.arbiter,
             self.dispatcher,
-            self._read,
-            lambda function: function(),
             moved=self.moved.append,
-            info=self.log.append,
-            warn=self.log.append,
         )
         self.features = [features, features]
         self.states = [0, 0]
@@ -127,14 +124,14 @@ def test_directions_and_positions_are_those_of_the_joint() -> None:
     assert rig.written() == [("cmd.home_position", 0, (value,)), ("cmd.home", 0, (METHOD["SWITCH_NEGATIVE"],))]
 
 
-def test_a_shaft_is_turned_only_while_it_is_enabled() -> None:
+def test_a_homing_motion_needs_an_enabled_axis() -> None:
     rig = Rig()
     answer = rig.homing.home(1, "stop_positive")
     assert not answer.result(0)[0]
     assert "enable" in answer.result(0)[1]
     assert not rig.sent
     rig.homing.home(1, "here")
-    assert rig.sent, "which moves nothing"
+    assert rig.sent, "a method without motion"
 
 
 def test_link_loss_answers_a_pending_homing() -> None:
@@ -158,7 +155,7 @@ def test_positions_are_restored_after_a_restart() -> None:
     known(rig)
     rig.restart()
     waits = rig.homing.restoring
-    assert waits, "until then positions count from elsewhere"
+    assert waits, "positions have another zero until the restoration"
     for _ in range(6):
         rig.sample()
     assert rig.written() == [
@@ -170,10 +167,10 @@ def test_positions_are_restored_after_a_restart() -> None:
     rig.states, rig.counts = [STATE["ASSUMED"]] * 2, [12_345, -77]
     rig.read_states()
     assert not rig.homing.restoring
-    assert rig.homing.known == [False, False], "the shaft may have turned meanwhile"
+    assert rig.homing.known == [False, False], "the shaft may have moved during the restart"
     rig.restart()
     rig.sample()
-    assert len(rig.sent) > 4, "an assumption is kept, too"
+    assert len(rig.sent) > 4, "an assumed position is restored too"
 
 
 def test_counts_since_the_restart_are_kept() -> None:
@@ -203,7 +200,7 @@ def test_a_second_call_ends_the_first() -> None:
 
 
 @pytest.mark.parametrize("how", ["not wanted", "feature off", "unknown before", "lost before", "turned before"])
-def test_cases_without_restored_position(how: str) -> None:
+def test_position_is_not_restored_if_it_is_unknown_or_may_have_changed(how: str) -> None:
     rig = Rig(restores=how != "not wanted", features=0 if how == "feature off" else FEATURE)
     if how != "unknown before":
         known(rig)

@@ -33,7 +33,7 @@ def test_items_posted_during_drain_are_handled_by_the_next_one() -> None:
     assert seen == ["later"]
 
 
-def test_nothing_is_lost_between_threads() -> None:
+def test_no_item_is_lost_between_threads() -> None:
     ready = threading.Condition()
     woken: list[Callable[[], None]] = []
 

@@ -53,8 +53,8 @@ def send(rig: Rig, position: list[float], velocity: list[float] | None = None, s
     message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1.0 * 1e9)
     rig.joint_commands.publish(message)
     until = time.monotonic() + 0.01
-    while (left := until - time.monotonic()) > 0.0:
-        rig.executor.spin_once(timeout_sec=left)
+    while (remaining := until - time.monotonic()) > 0.0:
+        rig.executor.spin_once(timeout_sec=remaining)
     sample(rig)
 
 

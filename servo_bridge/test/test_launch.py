@@ -116,7 +116,7 @@ def test_launched_programs_exist_and_only_nodes_get_ros_arguments() -> None:
         assert (ROOT / package / "scripts" / executable).is_file()
 
 
-def test_a_virtual_board_a_second_launch_and_a_killed_bridge(launch: Start, tmp_path: Path) -> None:
+def test_launch_refuses_a_second_bridge_and_ends_with_a_killed_one(launch: Start, tmp_path: Path) -> None:
     arguments = ("virtual:=true", "namespace:=robotA")
     first = launch("bridge.launch.py", *arguments, f"port:={tmp_path}/board")
     first.until(r"\[robotA\.servo\.servo_bridge\]: connected to servo at ")
@@ -144,7 +144,7 @@ def test_two_boards_are_followed_by_a_twin_each(launch: Start, tmp_path: Path) -
     assert "virtual_board" in both.log()
 
 
-def test_parameters_simulated_time_and_respawn(launch: Start, tmp_path: Path) -> None:
+def test_launch_passes_parameters_and_respawns_the_bridge(launch: Start, tmp_path: Path) -> None:
     parameters = tmp_path / "twin.yaml"
     parameters.write_text("/**:\n  ros__parameters:\n    board_namespace: /elsewhere\n    healthy_after: 99.0\n")
     one = launch(

@@ -72,7 +72,7 @@ def test_every_transition_from_unconfigured_to_finalized() -> None:
         assert rig.diagnosis("commands").message == ACTIVATE_FIRST
         assert rig.enable(True) == (False, f"{ACTIVATE_FIRST}; then call enable again")
         assert f"commands: {ACTIVATE_FIRST}; then call the service enable" in rejected(rig)
-        assert rig.clear_faults()[0], "what moves nothing works"
+        assert rig.clear_faults()[0], "services without motion are available"
 
         rig.link.written.clear()
         assert change(rig, "activate") == (True, ACTIVE)
@@ -161,7 +161,7 @@ def test_cleanup_releases_everything_and_permits_other_parameters(monkeypatch: p
             "parameter port can be changed only while the node is unconfigured: ros2 lifecycle set /servo/servo_bridge "
             "deactivate, then cleanup"
         )
-        assert rig.set_parameter("port", "/dev/ttyUSB0")[0], "it is that already"
+        assert rig.set_parameter("port", "/dev/ttyUSB0")[0], "already in that state"
         first, supervisor = rig.link, rig.bridge.supervisor
         assert supervisor is not None
         assert change(rig, "deactivate")[0]
@@ -209,7 +209,7 @@ def test_invalid_parameters_are_refused_until_all_are_corrected() -> None:
         rig.until(lambda: len(rig.logs()) > 1)
         assert "parameter velocity_max" in rig.logs()[-1]
         assert rig.set_parameter("velocity_max", [1.0, 1.0])[0]
-        assert not rig.set_parameter("velocity_max", [1.0])[0], "all of them make sense now"
+        assert not rig.set_parameter("velocity_max", [1.0])[0], "all parameters are valid now"
         assert change(rig, "configure") == (True, INACTIVE)
         assert len(rig.links) == 1
 

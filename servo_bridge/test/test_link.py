@@ -39,7 +39,7 @@ def test_the_scope_is_set_up_once(connected: Watcher, fake_board: FakeServo) -> 
 
 
 @pytest.mark.usefixtures("fake_port")
-def test_a_board_with_passwords(fake_board: FakeServo, start_link: StartLink) -> None:
+def test_telemetry_of_a_board_with_passwords_is_read(fake_board: FakeServo, start_link: StartLink) -> None:
     fake_board.passwords = {1: "look"}
     fake_board.open_level = 0
     fake_board.reset()
@@ -61,7 +61,7 @@ def test_statistics_count_samples_and_connections(connected: Watcher) -> None:
     assert figures.bytes_in_rate > figures.bytes_out_rate > 0.0
     assert 0.0 < figures.round_trip_p50 <= figures.round_trip_p99 <= figures.round_trip_max
     assert (figures.crc_errors, figures.damaged) == (0, 0)
-    assert figures.timeouts <= 5, "a busy computer may be late"
+    assert figures.timeouts <= 5, "a busy computer may cause delays"
 
 
 def test_the_rate_can_be_limited(fake_port: FakePort, start_link: StartLink) -> None:
@@ -96,7 +96,7 @@ def test_effect_of_a_write_is_in_the_telemetry(connected: Watcher, fake_board: F
     assert connected.link.statistics().writes == 1
 
 
-def test_raw_write_read_and_command(connected: Watcher, fake_board: FakeServo) -> None:
+def test_raw_writes_reads_and_commands_are_executed(connected: Watcher, fake_board: FakeServo) -> None:
     fake_board.commands[1] = lambda _: 0x42
     connected.link.write_raw("cmd.i_q", [100, -100]).result(TIMEOUT)
     assert fake_board.get("cmd.i_q") == [100, -100]
@@ -120,7 +120,7 @@ def test_invalid_requests_are_refused_without_sending(connected: Watcher, fake_b
     assert fake_board.written == []
 
 
-def test_reading_an_unknown_variable(connected: Watcher) -> None:
+def test_reading_an_unknown_variable_is_an_error(connected: Watcher) -> None:
     with pytest.raises(ValueError, match="no variable"):
         connected.link.read("no.such")
 
@@ -134,7 +134,7 @@ def test_refusal_of_the_board_keeps_the_link(connected: Watcher, fake_board: Fak
     assert connected.states[-1].state is LinkState.CONNECTED
 
 
-def test_a_value_that_the_board_refuses_is_named_with_its_range(connected: Watcher, fake_board: FakeServo) -> None:
+def test_refusal_of_a_value_by_the_board_reports_its_range(connected: Watcher, fake_board: FakeServo) -> None:
     for name, raw, first, text in (
         ("cmd.mode", [0, 9], 0, r"cmd.mode\[1\]: 9 is outside 0 .. 4"),
         ("param.host_timeout", [60001], 0, "param.host_timeout: 30.0005 is outside 0.05 .. 30 s"),
@@ -166,7 +166,7 @@ def test_the_final_writes_are_sent_before_the_link_closes(connected: Watcher, fa
         connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
 
 
-def test_final_writes_without_response(fake_port: FakePort, connected: Watcher) -> None:
+def test_close_ends_in_time_without_responses_to_final_writes(fake_port: FakePort, connected: Watcher) -> None:
     fake_port.silent = True
     begin = time.monotonic()
     assert not connected.link.close([("cmd.enable", [0.0, 0.0])])
@@ -184,7 +184,7 @@ def test_final_writes_are_not_sent_to_another_device(
     assert fake_board.written == []
 
 
-def test_closing_while_connecting(fake_port: FakePort, start_link: StartLink) -> None:
+def test_close_ends_in_time_while_connecting(fake_port: FakePort, start_link: StartLink) -> None:
     fake_port.silent = True
     watcher = start_link()
     begin = time.monotonic()
@@ -192,7 +192,7 @@ def test_closing_while_connecting(fake_port: FakePort, start_link: StartLink) ->
     assert time.monotonic() - begin < 3.0
 
 
-def test_closing_a_link_that_never_started(tmp_path: Path) -> None:
+def test_a_link_that_never_started_can_be_closed(tmp_path: Path) -> None:
     assert not Watcher(str(tmp_path / "x")).link.close([("cmd.enable", [0.0, 0.0])])
 
 

@@ -31,7 +31,7 @@ def drain(queue: JobQueue) -> list[str]:
     return keys
 
 
-def test_urgent_before_writes_before_reads_each_in_order(queue: JobQueue) -> None:
+def test_urgent_writes_precede_writes_and_reads_each_in_order(queue: JobQueue) -> None:
     queue.put(job("r1", write=False))
     queue.put(job("w1"))
     queue.put(job("w2"))
@@ -75,7 +75,7 @@ def test_close_fails_pending_and_later_jobs(queue: JobQueue) -> None:
     assert drain(queue) == []
 
 
-def test_dropping_set_points_spares_urgent_writes_and_reads(queue: JobQueue) -> None:
+def test_discarding_set_points_keeps_urgent_writes_and_reads(queue: JobQueue) -> None:
     set_point = job("s")
     queue.put(set_point)
     queue.put(job("u"), urgent=True)
@@ -99,7 +99,7 @@ def test_take_waits_for_a_job_or_a_wake_up(queue: JobQueue) -> None:
         timer.join()
 
 
-def test_a_job_hands_its_result_or_error_to_its_future() -> None:
+def test_future_of_a_job_gets_its_result_or_error() -> None:
     good = job("x")
     good.execute(NO_CLIENT)
     assert good.done.result(0) == "x"
@@ -128,7 +128,7 @@ def test_a_cancelled_job_is_not_run() -> None:
 MS = 1_000_000
 
 
-def test_rates_and_round_trips() -> None:
+def test_report_has_rates_and_round_trips() -> None:
     collector = StatisticsCollector()
     collector.connected()
     for k in range(401):
@@ -146,6 +146,6 @@ def test_rates_and_round_trips() -> None:
     assert collector.report(60_000 * MS, waiting=0).sample_rate == 0.0
 
 
-def test_a_report_before_the_first_sample() -> None:
+def test_report_before_the_first_sample_is_zero() -> None:
     report = StatisticsCollector().report(0, waiting=0)
     assert (report.samples, report.sample_rate, report.round_trip_p99) == (0, 0.0, 0.0)

@@ -18,8 +18,8 @@ from servo_bridge.wire.link import Link, LinkConfig, LinkDownError, LinkState, L
 pytestmark = pytest.mark.realtime
 
 
-# ---- trouble ------------------------------------------------------------------------------------------------------
-def test_the_port_is_waited_for(tmp_path: Path, fake_board: FakeServo, start_link: StartLink) -> None:
+# ---- failures -----------------------------------------------------------------------------------------------------
+def test_link_waits_for_the_port(tmp_path: Path, fake_board: FakeServo, start_link: StartLink) -> None:
     watcher = start_link()
     status = watcher.wait_state(LinkState.DISCONNECTED)
     assert "does not exist" in status.reason
@@ -29,7 +29,7 @@ def test_the_port_is_waited_for(tmp_path: Path, fake_board: FakeServo, start_lin
         watcher.link.close()
 
 
-def test_port_disappears_and_returns(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+def test_link_reconnects_when_the_port_returns(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
     connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
     fake_port.unplug()
     gone = time.monotonic()
@@ -43,10 +43,12 @@ def test_port_disappears_and_returns(fake_port: FakePort, connected: Watcher, fa
     connected.wait_samples(5)
     assert [name for name, _, _ in fake_board.written] == ["cmd.enable"], "a command was sent again"
     assert connected.link.statistics().connections == 2
-    assert connected.samples[-1].epoch == 0, "the board has run on"
+    assert connected.samples[-1].epoch == 0, "the board has continued to run"
 
 
-def test_board_stops_answering(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+def test_no_command_is_repeated_after_a_reconnection(
+    fake_port: FakePort, connected: Watcher, fake_board: FakeServo
+) -> None:
     connected.wait_samples(1)
     fake_port.silent = True
     begin = time.monotonic()
@@ -64,7 +66,7 @@ def test_board_stops_answering(fake_port: FakePort, connected: Watcher, fake_boa
     assert len(fake_board.written) == seen, "a command was sent again"
 
 
-def test_a_board_that_never_answers(fake_port: FakePort, start_link: StartLink) -> None:
+def test_a_board_that_never_answers_is_reported(fake_port: FakePort, start_link: StartLink) -> None:
     fake_port.silent = True
     status = start_link().wait_state(LinkState.DISCONNECTED)
     assert "no response at 115200 baud" in status.reason
@@ -74,7 +76,7 @@ def test_a_board_that_never_answers(fake_port: FakePort, start_link: StartLink) 
 @pytest.mark.parametrize(
     ("device", "text"), [(FakeTargetV3(), "no table of variables"), (NoiseDevice(), "not FreeMASTER")]
 )
-def test_a_device_of_another_protocol_is_named(
+def test_a_device_of_another_protocol_is_reported(
     tmp_path: Path, start_link: StartLink, device: Device, text: str
 ) -> None:
     with FakePort(tmp_path / "ttyFAKE", device):
@@ -101,13 +103,13 @@ def test_a_board_of_another_version_gets_no_command(
     assert [s.state for s in watcher.states].count(LinkState.FAILED) == 1
 
 
-def test_a_scope_that_is_too_small(fake_port: FakePort, start_link: StartLink, fake_board: FakeServo) -> None:
+def test_a_too_small_scope_is_reported(fake_port: FakePort, start_link: StartLink, fake_board: FakeServo) -> None:
     fake_board.scope_limit = 3
     status = start_link().wait_state(LinkState.FAILED)
     assert "SETSCOPE" in status.reason
 
 
-def test_a_reset_of_the_board(connected: Watcher, fake_board: FakeServo) -> None:
+def test_reset_of_the_board_starts_a_new_epoch(connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(5)
     fake_board.restart()
     connected.wait(lambda: any("reset" in s.reason for s in connected.states))

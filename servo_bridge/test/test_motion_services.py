@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from board_context_rig import board_context
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.motion_services import MotionServices
@@ -13,8 +14,8 @@ from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 
 CATALOGUE = Catalogue.load()
 JOINTS = joint_names(DEFAULT_JOINTS)
-SPINNING = AxisStatus("RUN/SPIN", spinning=True)
-STOPPED = AxisStatus("STOP", spinning=False)
+SPINNING = AxisStatus("RUN/SPIN", accepts_set_points=True)
+STOPPED = AxisStatus("STOP", accepts_set_points=False)
 
 
 class Rig:
@@ -25,7 +26,7 @@ class Rig:
         self.arbiter = Arbiter(CATALOGUE, DEFAULT_JOINTS)
         self.dispatcher = Dispatcher(self.sent.append, self.arbiter.queue, lambda _: None)
         self.events: list[str] = []
-        self.services = MotionServices(CATALOGUE, JOINTS, self.arbiter, self.dispatcher, self.events.append)
+        self.services = MotionServices(board_context(log=self.events.append), JOINTS, self.arbiter, self.dispatcher)
         self.values: dict[str, float] = {}
         self.tick = 0
         self.count = 0
@@ -61,13 +62,13 @@ def test_enable_accepts_set_points_after_its_effect() -> None:
     assert rig.arbiter.armed
 
 
-def test_enable_answers_when_a_set_point_would_pass() -> None:
+def test_enable_answers_when_set_points_are_accepted() -> None:
     rig = Rig().connected()
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], None)
     rig.sample(STOPPED, STOPPED, applied=True)
     for _ in range(1000):
-        rig.sample(SPINNING, AxisStatus("RUN/STARTUP", spinning=False))
+        rig.sample(SPINNING, AxisStatus("RUN/STARTUP", accepts_set_points=False))
     assert not answer.done()
     rig.sample()
     assert answer.result(0) == (True, "both axes are enabled; set-points are accepted")
@@ -108,7 +109,7 @@ def test_enable_answers_at_once_if_it_is_impossible(end: str) -> None:
     rig.sample(STOPPED, STOPPED, applied=True)
     assert not answer.done()
     if end == "fault":
-        rig.sample(AxisStatus("FAULT", spinning=False, faulted=True), STOPPED, faults=(1, 0))
+        rig.sample(AxisStatus("FAULT", accepts_set_points=False, faulted=True), STOPPED, faults=(1, 0))
     elif end == "stop":
         rig.services.quick_stop()
         rig.sample(STOPPED, STOPPED)
@@ -144,7 +145,7 @@ def test_stop_refuses_set_points_at_once() -> None:
     assert not rig.arbiter.armed
 
 
-def test_a_refused_write_is_the_answer() -> None:
+def test_refusal_of_the_write_is_the_answer() -> None:
     rig = Rig().connected()
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], "the board answers 89, access denied")
@@ -189,7 +190,7 @@ def test_link_loss_answers_a_pending_fault_check() -> None:
 
 def test_enable_in_fault_needs_no_write() -> None:
     rig = Rig().connected()
-    rig.sample(STOPPED, AxisStatus("FAULT", spinning=False, faulted=True), faults=(0, 1))
+    rig.sample(STOPPED, AxisStatus("FAULT", accepts_set_points=False, faulted=True), faults=(0, 1))
     success, text = rig.services.enable(True).result(0)
     assert not success
     assert text.startswith("axis2: OVER_VOLTAGE")
@@ -210,6 +211,6 @@ def test_axes_that_spin_when_the_link_comes_up_are_reported_once(axes: tuple[Axi
 
 
 def test_axes_at_rest_are_not_stopped_at_the_connection() -> None:
-    rig = Rig().connected(STOPPED, AxisStatus("RUN/ALIGN", spinning=False))
+    rig = Rig().connected(STOPPED, AxisStatus("RUN/ALIGN", accepts_set_points=False))
     rig.sample()
     assert rig.sent == []

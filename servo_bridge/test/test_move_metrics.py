@@ -12,7 +12,7 @@ TIME = np.arange(0.0, 2.0, 0.001)
 COUNT = 2.0 * math.pi / 4000
 
 
-def test_first_order_approach() -> None:
+def test_first_order_approach_settles_without_overshoot() -> None:
     """1 - exp(-t/T) enters the band of one count after T ln(target/count) and never overshoots."""
     target, constant = 10.0, 0.1
     figures = measure_move(TIME, target * (1.0 - np.exp(-TIME / constant)), target, COUNT)
@@ -41,7 +41,7 @@ def test_move_that_stops_short_has_not_arrived() -> None:
     assert figures.error == pytest.approx(-0.01)
 
 
-def test_a_disturbance_after_arrival_counts() -> None:
+def test_a_disturbance_after_arrival_extends_the_settling_time() -> None:
     position = np.ones_like(TIME)
     position[1000] = 1.5
     figures = measure_move(TIME, position, 1.0, 1e-3)
@@ -62,7 +62,7 @@ def test_tracking_error_of_a_constant_lag() -> None:
     assert measure_move(TIME, TIME, 2.0, 1.0).tracking_rms is None
 
 
-def test_no_distance_to_go_makes_any_excursion_an_overshoot() -> None:
+def test_with_zero_distance_any_excursion_is_an_overshoot() -> None:
     position = 1.0 + 0.01 * np.sin(20.0 * TIME)
     position[0] = 1.0
     assert measure_move(TIME, position, 1.0, 0.1).overshoot == pytest.approx(0.01, rel=1e-3)

@@ -72,7 +72,7 @@ def test_joint_states_are_si_and_stamped_with_board_time(rig: Rig) -> None:
     assert abs(stamps[-1] - time.time_ns()) < 5e9
 
 
-def test_stamps_grow_while_simulated_time_goes_at_half_speed() -> None:
+def test_stamps_increase_with_simulated_time_at_half_speed() -> None:
     with Rig(use_sim_time=True) as rig:
         clock = rig.user.create_publisher(Clock, "/clock", 10)
         rig.until(clock.get_subscription_count)
@@ -124,7 +124,7 @@ def test_positions_are_unwrapped_beyond_32_bits(rig: Rig) -> None:
     assert (second - first) / TURN * 4000 == pytest.approx(20, abs=1e-3)
 
 
-def test_joint_states_rate_is_a_ceiling() -> None:
+def test_joint_states_rate_is_the_maximum_rate() -> None:
     with Rig(joint_states_rate=100.0, snapshot_period=0.0) as rig:
         rig.connect()
         for _ in range(100):
@@ -385,7 +385,7 @@ def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: R
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
     link = rig.diagnosis("link")
     assert (link.level, link.message) == (b"\x02", "another table of variables; flash the firmware of this release")
-    assert link.hardware_id == f"fake table {CATALOGUE.hash:08X}", "the board, wherever it is plugged in"
+    assert link.hardware_id == f"fake table {CATALOGUE.hash:08X}", "independent of the port"
     for part in ("board", "axis1", "axis2"):
         assert rig.diagnosis(part).level == b"\x02"
     rig.until(lambda: rig.logs(40))
@@ -402,7 +402,7 @@ def test_late_loops_of_the_board_are_a_warning_without_being_in_the_telemetry(ri
 
 
 def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> None:
-    """Neither is in the telemetry."""
+    """Both are read in addition to the telemetry."""
     found: list[list[float]] = []
     rig.user.create_subscription(
         Float64MultiArray,
@@ -482,7 +482,7 @@ def test_invalid_parameters_are_reported(parameters: dict[str, Any], sentence: s
 
 
 def test_a_bridge_that_failed_to_start_leaves_the_log_of_the_next_one_working() -> None:
-    """Its remains may be collected at any time while the next node of the same name runs."""
+    """Its objects may be garbage-collected while the next node of the same name runs."""
     with pytest.raises(ParameterError) as refused, Rig(joints=["one"]):
         pass
     with Rig() as rig:
@@ -513,7 +513,7 @@ GEARS = {
 }
 
 
-def test_a_geared_joint_is_in_its_units_on_ros_and_in_those_of_the_motor_on_the_board() -> None:
+def test_ros_uses_joint_units_and_the_board_motor_units() -> None:
     with Rig(**GEARS) as rig:
         counts = 800
         rig.link.values |= {"axis1.position": counts, "axis2.position": counts}
@@ -660,14 +660,14 @@ def test_shutdown_disables_the_axes_and_logs_it(rig: Rig) -> None:
 
 
 # ---- two sources
-def test_two_sources_are_named_in_log_and_diagnostics_and_one_can_have_precedence(rig: Rig) -> None:
+def test_two_sources_are_reported_and_one_can_have_precedence(rig: Rig) -> None:
     rig.enable_axes()
     other = Node("teleop", context=rig.context)
     velocity = other.create_publisher(JointState, "/servo/joint_commands", command_qos())
     try:
         rig.until(lambda: velocity.get_subscription_count())
 
-        def fight() -> None:
+        def command_alternately() -> None:
             accepted = rig.accepted()
             rig.position.publish(Float64(data=1.0))
             rig.until(lambda: rig.accepted() > accepted)
@@ -675,17 +675,17 @@ def test_two_sources_are_named_in_log_and_diagnostics_and_one_can_have_precedenc
             rig.until(lambda: rig.accepted() > accepted + 1)
 
         for _ in range(5):
-            fight()
-        said = (
+            command_alternately()
+        warning = (
             "axis2 is commanded alternately by position on axis2/position (/servo/user) and velocity on "
             "joint_commands ("
         )
-        rig.until(lambda: rig.warnings(said))
-        assert "/teleop" in rig.warnings(said)[0]
-        fight()
+        rig.until(lambda: rig.warnings(warning))
+        assert "/teleop" in rig.warnings(warning)[0]
+        command_alternately()
         status = rig.diagnosis("commands")
-        assert (status.level, status.message[: len(said)]) == (b"\x01", said)
-        assert len(rig.warnings(said)) == 1, "throttled"
+        assert (status.level, status.message[: len(warning)]) == (b"\x01", warning)
+        assert len(rig.warnings(warning)) == 1, "throttled"
 
         assert rig.set_parameter("preferred_source", "axis2/position")[0]
 

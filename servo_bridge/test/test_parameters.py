@@ -16,7 +16,7 @@ FILE = Path(__file__).resolve().parents[1] / "config" / "servo_bridge.yaml"
 DEFAULTS = {name: spec.default for name, spec in PARAMETERS.items()}
 
 
-def test_the_file_has_a_comment_to_every_parameter() -> None:
+def test_the_file_has_a_comment_for_every_parameter() -> None:
     """For the values see tests/test_node_start.py."""
     lines = FILE.read_text(encoding="utf-8").splitlines()
     for name in PARAMETERS:
@@ -50,7 +50,7 @@ def test_defaults_are_valid_and_used_in_the_settings() -> None:
     assert "axis2.limits" in settings.telemetry
 
 
-def test_an_empty_name_stands_for_an_empty_list() -> None:
+def test_an_empty_name_means_an_empty_list() -> None:
     settings = settings_from(DEFAULTS | {"variables": [""], "telemetry": [""]}, CATALOGUE)
     assert settings.variables == ()
     assert "u_dc" not in settings.telemetry
@@ -59,7 +59,7 @@ def test_an_empty_name_stands_for_an_empty_list() -> None:
 @pytest.mark.parametrize(
     ("name", "value"), [("position_max", [float("nan"), 1.0]), ("effort_max", [1.0, -0.1]), ("velocity_max", [])]
 )
-def test_wrong_limits_are_named(name: str, value: Any) -> None:
+def test_wrong_limits_are_reported(name: str, value: Any) -> None:
     with pytest.raises(ParameterError, match=f"parameter {name}"):
         settings_from(DEFAULTS | {name: value}, CATALOGUE)
 
@@ -80,7 +80,7 @@ def test_joints_have_gears_and_limits_in_their_units() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "message"),
     [
         ("gear_ratio", [1.0], "parameter gear_ratio is [1.0]; write 2 numbers, one per joint"),
         ("gear_ratio", [1.0, 0.0], "parameter gear_ratio of axis2 is 0; give motor revolutions"),
@@ -89,13 +89,13 @@ def test_joints_have_gears_and_limits_in_their_units() -> None:
         ("offset", [0.0, 1e7], "parameter offset of axis2 is 1e+07 rad"),
     ],
 )
-def test_wrong_gears_are_named(name: str, value: Any, said: str) -> None:
+def test_wrong_gears_are_reported(name: str, value: Any, message: str) -> None:
     with pytest.raises(ParameterError) as caught:
         settings_from(DEFAULTS | {name: value}, CATALOGUE)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_the_preferred_source_is_a_topic_that_takes_set_points() -> None:
+def test_the_preferred_source_must_be_a_set_point_topic() -> None:
     named = settings_from(DEFAULTS | {"preferred_source": "arm/position", "joints": ["arm", "hand"]}, CATALOGUE)
     assert named.preferred_source == "arm/position"
     with pytest.raises(ParameterError, match=r"preferred_source is 'joint_states'; write one of joint_commands, "):

@@ -87,12 +87,12 @@ def test_recorder_set_up_is_published_before_the_start_and_withdrawn(rig: Rig, m
         done.append("started")
         begin(recording, prepared)
 
-    def said(setup: RecorderSetup | None) -> Float64MultiArray:
+    def stored_message(setup: RecorderSetup | None) -> Float64MultiArray:
         done.append(setup)
         return setup_message(setup)
 
     monkeypatch.setattr(Recording, "_begin", started)
-    monkeypatch.setattr("servo_bridge.bursts.record_service.setup_message", said)
+    monkeypatch.setattr("servo_bridge.bursts.record_service.setup_message", stored_message)
     rig.until(lambda: rig.messages[topics.RECORDER])  # a latched topic keeps its last message only
     assert rig.set_parameter("recording", "axis1.i_q param.i_q_limit --rate 4000 --points 30")[0]
     assert record(rig, True)[0]
@@ -116,18 +116,18 @@ def test_recording_without_trigger_is_ended_by_the_service(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "expected"),
     [
         ("axis1.iq", "did you mean axis1.i_q"),
         ("axis1.i_q --rate 5000", "5333.33 or 4000 Hz, not 5000 Hz"),
         ("axis1.i_q --slow", "no recorder 1"),
     ],
 )
-def test_impossible_recording_is_refused_with_a_reason(rig: Rig, options: str, said: str) -> None:
+def test_impossible_recording_is_refused_with_a_reason(rig: Rig, options: str, expected: str) -> None:
     assert rig.set_parameter("recording", options)[0]
     success, message = record(rig, True)
     assert not success
-    assert said in message
+    assert expected in message
     assert rig.messages[topics.RECORDING] == []
 
 

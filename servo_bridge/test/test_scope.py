@@ -39,7 +39,7 @@ def test_applied_tick_is_extended_like_the_tick() -> None:
         assert Sample(tick, 0, 0, 0, data, scope.raw(data), scope).applied_tick == expected
 
 
-def test_without_the_bookkeeping_of_commands() -> None:
+def test_sample_without_applied_tick_and_count_is_decoded() -> None:
     scope = layout("tick")
     sample = Sample(1, 0, 0, 0, b"\1\0\0\0", (1,), scope)
     assert sample.applied_tick is None

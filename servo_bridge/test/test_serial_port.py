@@ -155,21 +155,21 @@ def test_a_port_may_be_closed_twice(pty: Pty) -> None:
         port.write(b"x")
 
 
-def test_two_programs_at_one_port(pty: Pty) -> None:
+def test_a_port_used_by_another_program_is_refused(pty: Pty) -> None:
     with SerialPort(pty.path, 115_200), pytest.raises(PortError, match="another program uses") as caught:
         SerialPort(pty.path, 115_200)
     assert not caught.value.missing
     SerialPort(pty.path, 115_200).close()
 
 
-def test_no_such_port(tmp_path: Path) -> None:
+def test_missing_port_is_reported(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="does not exist") as caught:
         SerialPort(str(tmp_path / "ttyUSB9"), 115_200)
     assert caught.value.missing
     assert caught.value.remedy
 
 
-def test_not_a_serial_port(tmp_path: Path) -> None:
+def test_a_file_that_is_no_serial_port_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("no port")
     for path in (file, tmp_path, Path("/dev/null")):
@@ -199,10 +199,10 @@ USER = 4321
         ),
     ],
 )
-def test_a_port_without_permission_is_named_with_its_remedy(
+def test_a_port_without_permission_is_reported_with_its_remedy(
     pty: Pty, monkeypatch: pytest.MonkeyPatch, mode: int, owner: int, group: int, remedy: str
 ) -> None:
-    """With a faked error of the system, as tests may run as root."""
+    """With a simulated system error, as tests may run as root."""
 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
@@ -227,7 +227,7 @@ def test_invalid_urls_are_refused(url: str) -> None:
         SerialPort(url, 115_200)
 
 
-def test_impossible_baud_rate(pty: Pty) -> None:
+def test_impossible_baud_rate_is_refused(pty: Pty) -> None:
     with pytest.raises(PortError, match="cannot run at -5 baud"):
         SerialPort(pty.path, -5)
 
@@ -248,7 +248,7 @@ def test_a_url_opens_a_network_port() -> None:
         SerialPort(url, 115_200)
 
 
-def test_loop_port_without_descriptor() -> None:
+def test_loop_port_without_descriptor_works() -> None:
     with SerialPort("loop://", 115_200) as port:
         port.write(b"abc")
         data = b""
@@ -291,7 +291,7 @@ def test_the_latency_timer_of_an_adapter_is_set(sys_tty: Path) -> None:
     assert sys_tty.read_text() == "1"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.skipif(os.geteuid() == 0, reason="root can write everywhere")
 def test_a_latency_timer_that_cannot_be_set_is_reported(sys_tty: Path) -> None:
     sys_tty.write_text("16\n")
     sys_tty.chmod(stat.S_IRUSR)
@@ -300,7 +300,7 @@ def test_a_latency_timer_that_cannot_be_set_is_reported(sys_tty: Path) -> None:
     assert f"echo 1 > {sys_tty}" in result.text
 
 
-def test_a_port_with_the_mode_but_without_timer(sys_tty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_with_low_latency_mode_and_without_timer_is_used(sys_tty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert serial_port._set_low_latency(FakeSerial(), "/dev/ttyS0").enabled is True
     monkeypatch.setattr(FakeSerial, "flag", False)
     assert serial_port._set_low_latency(FakeSerial(), "/dev/ttyS0").enabled is None

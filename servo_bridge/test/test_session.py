@@ -17,7 +17,7 @@ def entry(board: FakeServo, name: str) -> FakeEntry:
     return next(e for e in board.tables[0] if e.name == name)
 
 
-def test_board_with_the_same_catalogue() -> None:
+def test_board_with_the_same_catalogue_is_read_in_si() -> None:
     board = FakeServo()
     board.put("axis1.position", 4000)
     session = session_on(board)
@@ -64,7 +64,7 @@ def test_board_of_another_version_is_refused() -> None:
     assert mismatch is not None
     assert f"{CATALOGUE.hash ^ 1:08X}" in mismatch.reason
     assert "flash the firmware" in mismatch.remedy
-    assert not mismatch.stranger
+    assert not mismatch.foreign
 
 
 def test_board_with_another_catalogue_is_read_by_its_own_types() -> None:
@@ -74,7 +74,7 @@ def test_board_with_another_catalogue_is_read_by_its_own_types() -> None:
     target.build()
     session = session_on(target)
     assert session.mismatch is not None
-    assert session.mismatch.stranger
+    assert session.mismatch.foreign
     session.write(session.variables["gain"], [1.5])
     assert session.read(session.variables["gain"]) == 1.5
     with pytest.raises(ValueError, match="can only be read"):
@@ -92,7 +92,7 @@ def test_board_with_another_catalogue_is_read_by_its_own_types() -> None:
         ("tick", {"name": "tock"}, "tick is missing"),
     ],
 )
-def test_a_table_that_contradicts_its_hash(name: str, change: dict[str, object], text: str) -> None:
+def test_a_table_that_contradicts_its_hash_is_refused(name: str, change: dict[str, object], text: str) -> None:
     board = FakeServo()
     row = entry(board, name)
     board.tables[0][board.tables[0].index(row)] = replace(row, **change)  # type: ignore[arg-type]

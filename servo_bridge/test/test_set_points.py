@@ -42,7 +42,7 @@ def test_set_point_of_one_joint_does_not_affect_the_other() -> None:
     assert joint_command(["axis1", "axis2"], position=[math.nan] * 2, velocity=[math.nan] * 2) == {}
 
 
-def test_a_position_with_more_is_streamed() -> None:
+def test_a_position_with_velocity_or_effort_is_streamed() -> None:
     points = joint_command(["axis1", "axis2"], position=[1.0, 2.0], velocity=[3.0, math.nan], effort=[0.5, math.nan])
     assert points == {0: JointSetPoint(1.0, 3.0, 0.5), 1: JointSetPoint(2.0)}
     assert [point.streamed for point in points.values()] == [True, False]
@@ -51,7 +51,7 @@ def test_a_position_with_more_is_streamed() -> None:
     assert joint_command(["axis1"], position=[1.0], effort=[0.2])[0].streamed
 
 
-def test_joints_of_different_modes() -> None:
+def test_joints_may_have_different_modes() -> None:
     points = joint_command(["axis1", "axis2"], position=[1.0, math.nan], velocity=[math.nan, 5.0])
     assert [(request.mode, dict(request.values)) for request in requests_of("joint_commands", points)] == [
         (Mode.POSITION, {0: 1.0}),
@@ -59,7 +59,7 @@ def test_joints_of_different_modes() -> None:
     ]
 
 
-def test_arrays_with_values_of_some_joints() -> None:
+def test_arrays_may_have_values_of_some_joints() -> None:
     interfaces = {"axis1": {"position"}, "axis2": {"velocity"}}
     points = joint_command(["axis1", "axis2"], interfaces, position=[1.0], velocity=[5.0])
     assert points == {0: JointSetPoint(1.0), 1: JointSetPoint(None, 5.0)}
@@ -67,7 +67,7 @@ def test_arrays_with_values_of_some_joints() -> None:
         joint_command(["axis1", "axis2"], interfaces, position=[1.0, 2.0])
 
 
-def test_set_points_repeated_from_before_enable() -> None:
+def test_set_points_repeated_from_before_enable_are_ignored() -> None:
     repeats = RepeatedSetPoints(pause=1.0)
     zero, one = {0: JointSetPoint(0.0), 1: JointSetPoint(0.0, 0.0)}, {0: JointSetPoint(0.0), 1: JointSetPoint(1.0, 0.0)}
     assert repeats.without_repeats(0.0, zero) == zero
@@ -76,7 +76,7 @@ def test_set_points_repeated_from_before_enable() -> None:
         assert repeats.without_repeats(1.1 + 0.1 * k, zero) == {}
     assert repeats.without_repeats(4.1, one) == {1: JointSetPoint(1.0, 0.0)}
     assert repeats.without_repeats(4.2, zero) == {1: JointSetPoint(0.0, 0.0)}
-    assert repeats.without_repeats(5.2, zero) == zero, "after a pause it is meant"
+    assert repeats.without_repeats(5.2, zero) == zero, "accepted after a pause"
 
 
 def test_constant_velocity_is_accepted_after_enable() -> None:
@@ -106,20 +106,20 @@ def test_constant_velocity_is_accepted_after_enable() -> None:
         ({"names": ["axis1"], "effort": [-math.inf]}, "effort of axis1 is -inf"),
     ],
 )
-def test_wrong_joint_commands(fields: dict[str, Any], sentence: str) -> None:
+def test_wrong_joint_commands_are_refused(fields: dict[str, Any], sentence: str) -> None:
     with pytest.raises(Rejected) as caught:
         joint_command(**fields)
     assert str(caught.value).startswith("joint_commands: ")
     assert sentence in str(caught.value)
 
 
-def test_array_in_joint_order() -> None:
+def test_array_is_in_joint_order() -> None:
     request = from_array("commands", JOINTS, [1.0, 2.0])
     assert (request.mode, dict(request.values)) == (Mode.POSITION, {0: 1.0, 1: 2.0})
 
 
 @pytest.mark.parametrize("data", [[], [1.0], [1.0, 2.0, 3.0]])
-def test_wrong_array_lengths(data: list[float]) -> None:
+def test_wrong_array_lengths_are_refused(data: list[float]) -> None:
     with pytest.raises(Rejected, match=rf"commands: {len(data)} values given, 2 expected; .*\(axis1, axis2\)"):
         from_array("commands", JOINTS, data)
 

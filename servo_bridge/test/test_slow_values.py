@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Future
 
+from board_context_rig import board_context
 from servo_bridge.health import Winding
 from servo_bridge.slow_values import SlowValues
 from servo_bridge.snapshot_events import SnapshotEvents
@@ -23,14 +23,11 @@ class Reads:
         self.waiting: list[tuple[str, Future[Value]]] = []
         self.motors = 0
         self.windings: list[Winding] = []
-        self.values = SlowValues(self._read, self._post, self._on_motors, self.windings.extend)
+        self.values = SlowValues(board_context(self._read), self._on_motors, self.windings.extend)
 
     def _read(self, name: str) -> Future[Value]:
         self.waiting.append((name, Future()))
         return self.waiting[-1][1]
-
-    def _post(self, function: Callable[[], None]) -> None:
-        function()
 
     def _on_motors(self) -> None:
         self.motors += 1
@@ -55,18 +52,18 @@ def test_motor_data_are_known_when_all_have_been_read() -> None:
     assert reads.motors == 1
 
 
-def test_a_failed_read_changes_nothing_and_the_next_one_is_taken() -> None:
+def test_a_failed_read_is_ignored_and_the_next_one_is_used() -> None:
     reads = Reads()
     reads.values.read_counters()
     reads.answer(late_loops=1.0)
-    assert reads.windings == []
+    assert (reads.values.counters, reads.windings) == (None, [])
     reads.values.read_counters()
     reads.answer(late_loops=1.0, receiver_overruns=2.0, winding_temperature=40.0, winding_current=8.0)
     assert reads.values.counters == {"late_loops": 1, "receiver_overruns": 2}
     assert reads.windings == [Winding(40.0, 8.0)] * 2
 
 
-def test_counters_are_not_read_twice_at_a_time() -> None:
+def test_counters_have_at_most_one_pending_read() -> None:
     reads = Reads()
     reads.values.read_counters()
     under_way = len(reads.waiting)

@@ -75,7 +75,7 @@ def test_no_host_timeout_during_discovery(baud: int) -> None:
     opened = wire.transport.clock()
     with stopped_at_connection(wire.client, CATALOGUE):
         begin = wire.transport.clock()
-        assert begin - opened < 0.3e9, "stopped by then"
+        assert begin - opened < 0.3e9, "already stopped"
         assert connect(wire.client, CATALOGUE).mismatch is None
         assert wire.transport.clock() - begin > HOST_TIMEOUT_NS
     assert application_commands(wire.board)[0] == "QUICK_STOP"
@@ -105,7 +105,7 @@ def test_a_stop_without_an_answer_ends_the_attempt() -> None:
     wire = Wire()
     wire.lose = lambda command: command == Command.SENDAPPCMD
     with pytest.raises(AnswerTimeoutError), stopped_at_connection(wire.client, CATALOGUE):
-        pytest.fail("nothing may be done with a board that has not been stopped")
+        pytest.fail("a board that has not been stopped must not be used")
     assert wire.client.before_exchange is None
 
 

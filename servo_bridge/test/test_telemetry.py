@@ -51,28 +51,28 @@ def test_new_epoch_restarts_unwrapping() -> None:
     assert snapshot.axes[0].position == -(2**31)
 
 
-def test_states_and_faults() -> None:
+def test_states_and_faults_are_decoded() -> None:
     snapshot = Telemetry(CATALOGUE, LAYOUT.variables).snapshot(
         sample(axis1_state=3, axis1_substate=3, axis2_state=0, axis2_faults=6, applied_tick=7, applied_count=9)
     )
     assert [a.label for a in snapshot.axes] == ["RUN/SPIN", "FAULT"]
-    assert [(a.spinning, a.faulted) for a in snapshot.axes] == [(True, False), (False, True)]
+    assert [(a.accepts_set_points, a.faulted) for a in snapshot.axes] == [(True, False), (False, True)]
     assert (snapshot.faults, snapshot.applied_tick, snapshot.applied_count) == ((0, 6), 7, 9)
 
 
 def test_an_axis_without_an_encoder_waits_in_ready_for_its_set_point() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
 
-    def obeys(tick: int, substate: int, epoch: int = 0) -> bool:
+    def accepts(tick: int, substate: int, epoch: int = 0) -> bool:
         snapshot = telemetry.snapshot(sample(tick=tick, epoch=epoch, axis1_state=3, axis1_substate=substate))
-        return snapshot.axes[0].spinning
+        return snapshot.axes[0].accepts_set_points
 
-    assert [obeys(8, 1), obeys(16, 2)] == [False, False], "passing through READY on the way to ALIGN"
-    assert [obeys(tick, 1) for tick in (24, 32, 40, 48, 56)] == [False, False, False, True, True]
-    assert obeys(64, 5), "STARTUP"
-    assert not obeys(72, 4), "FREEWHEEL"
-    assert [obeys(80, 1), obeys(160, 1)] == [False, True]
-    assert not obeys(8, 1, epoch=1), "another board"
+    assert [accepts(8, 1), accepts(16, 2)] == [False, False], "READY as a transition to ALIGN"
+    assert [accepts(tick, 1) for tick in (24, 32, 40, 48, 56)] == [False, False, False, True, True]
+    assert accepts(64, 5), "STARTUP"
+    assert not accepts(72, 4), "FREEWHEEL"
+    assert [accepts(80, 1), accepts(160, 1)] == [False, True]
+    assert not accepts(8, 1, epoch=1), "another board"
 
 
 def test_values_are_si_in_the_order_of_the_columns() -> None:
@@ -82,7 +82,7 @@ def test_values_are_si_in_the_order_of_the_columns() -> None:
     assert snapshot.values["axis2.i_q"] == pytest.approx(1.5, abs=1e-3)
 
 
-def test_the_tick_is_the_extended_one() -> None:
+def test_snapshot_has_the_extended_tick() -> None:
     assert Telemetry(CATALOGUE, LAYOUT.variables).snapshot(sample(tick=2**40)).values["tick"] == 2**40
 
 

@@ -35,7 +35,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
 
 
 @pytest.fixture
-def stranger(tmp_path: Path) -> Iterator[FakeTarget]:
+def foreign_target(tmp_path: Path) -> Iterator[FakeTarget]:
     rows = [
         FakeEntry("mode_t", ENUM, 0, 1, NONE),
         FakeEntry("ECO", CONST, 0, 0, NONE),
@@ -92,7 +92,7 @@ def test_vars_lists_the_variables_that_match(fake_port: FakePort, run: Run, caps
     assert len(lines) == 16
 
 
-def test_vars_without_a_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_vars_without_a_match_is_an_error(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("vars", "nothing*") == 1
     assert "no variable matches" in capsys.readouterr().err
 
@@ -114,7 +114,7 @@ def test_get_prints_values_with_units_and_names(
     }
 
 
-def test_get_as_json_and_raw(
+def test_get_prints_json_and_raw_values(
     fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake_board.put("axis1.position", -4000)
@@ -124,7 +124,7 @@ def test_get_as_json_and_raw(
     assert json.loads(capsys.readouterr().out) == {"axis1.position": -4000}
 
 
-def test_get_an_unknown_name(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_get_of_an_unknown_name_is_an_error(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("get", "axis1.positoin") == 1
     assert "did you mean axis1.position" in capsys.readouterr().err
     assert run("get", "cmd.position[2]") == 1
@@ -182,7 +182,7 @@ def test_set_writes_and_shows_the_value_before(
     ]  # fmt: skip
 
 
-def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo) -> None:
+def test_flags_are_set_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo) -> None:
     assert run("set", "param.features", "dead_time + FRICTION,none") == 0
     assert fake_board.get("param.features") == [0b11000, 0]
     assert run("set", "param.features[1]", "OVER_SPEED") == 0
@@ -227,7 +227,7 @@ def test_set_refuses_a_bad_value_with_its_reason(
     assert fake_board.written == []
 
 
-def test_a_value_that_the_board_refuses_is_named_with_its_range(
+def test_refusal_of_a_value_by_the_board_reports_its_range(
     fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for arguments, text in (
@@ -243,10 +243,10 @@ def test_a_value_that_the_board_refuses_is_named_with_its_range(
     assert fake_board.written == []
 
 
-def test_load_names_the_value_that_the_board_refuses(
+def test_load_reports_the_value_refused_by_the_board(
     fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A position: the tool checks all other ranges itself."""
+    """A position set-point: all other ranges are checked by the tool."""
     file = str(tmp_path / "x.toml")
     assert run("save", file, "--match", "cmd.*") == 0
     fake_board.put("axis1.position", 2**30 + 1)
@@ -271,7 +271,7 @@ def test_refusal_of_a_write_is_reported(
 
 # ---- parameter files ----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["board.toml", "board.json"])
-def test_save_change_diff_load(
+def test_saved_values_can_be_compared_and_loaded(
     fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = str(tmp_path / name)
@@ -359,7 +359,7 @@ def test_features_are_saved_by_name(
 
 
 @pytest.mark.parametrize("command", ["save", "load", "diff"])
-def test_a_file_of_another_kind(
+def test_a_file_of_another_kind_is_refused(
     fake_port: FakePort, run: Run, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(command, str(tmp_path / "x.txt")) == 2
@@ -377,7 +377,9 @@ def test_flags_are_shown_as_they_are_written(
     assert "none, ANTI_WINDUP, ENHANCED_MT" in capsys.readouterr().out
 
 
-def test_a_missing_file(fake_port: FakePort, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_file_is_reported(
+    fake_port: FakePort, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("load", str(tmp_path / "no.toml")) == 2
     assert "no.toml: No such file" in capsys.readouterr().err
 
@@ -387,9 +389,9 @@ def test_save_without_a_match_writes_no_file(fake_port: FakePort, run: Run, tmp_
     assert not (tmp_path / "x.toml").exists()
 
 
-# ---- boards of others ---------------------------------------------------------------------------------------------
-def test_a_strange_board_is_read_and_written_by_its_own_types(
-    stranger: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
+# ---- other boards -------------------------------------------------------------------------------------------------
+def test_an_unknown_board_is_read_and_written_by_its_own_types(
+    foreign_target: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("set", "gain", "1.5") == 0
     assert run("set", "mode", "turbo") == 0
@@ -409,10 +411,10 @@ def test_a_strange_board_is_read_and_written_by_its_own_types(
 
 
 def test_members_of_structures_are_variables(
-    stranger: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    foreign_target: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("set", "drive.loops[1].limits", "-5,5") == 0
-    assert stranger.peek(0x1048, 4) == b"\xfb\xff\x05\x00"
+    assert foreign_target.peek(0x1048, 4) == b"\xfb\xff\x05\x00"
     assert run("set", "drive.loops[1].limits[0]", "-6") == 0
     capsys.readouterr()
     assert run("get", "--json", "drive", "drive.loops[1]") == 0
@@ -430,28 +432,30 @@ def test_members_of_structures_are_variables(
 
 @pytest.mark.parametrize("pattern", ["*", "drive"])
 def test_structures_are_saved_and_loaded_by_member(
-    stranger: FakeTarget, run: Run, tmp_path: Path, pattern: str, capsys: pytest.CaptureFixture[str]
+    foreign_target: FakeTarget, run: Run, tmp_path: Path, pattern: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = str(tmp_path / "x.toml")
     assert run("set", "drive.loops[1].gain", "1.5") == 0
     assert run("save", file, "--match", pattern) == 0
-    before = stranger.peek(0x1040, 12)
-    stranger.poke(0x1040, bytes(range(12)))
+    before = foreign_target.peek(0x1040, 12)
+    foreign_target.poke(0x1040, bytes(range(12)))
     assert run("diff", file) == 1
     assert run("load", file) == 0
-    assert stranger.peek(0x1040, 12) == before
+    assert foreign_target.peek(0x1040, 12) == before
 
 
-def test_an_array_longer_than_the_buffer_is_written_in_pieces(stranger: FakeTarget, run: Run) -> None:
+def test_an_array_longer_than_the_buffer_is_written_in_pieces(foreign_target: FakeTarget, run: Run) -> None:
     assert run("set", "curve", ",".join(str(-k) for k in range(100))) == 0
-    assert [int.from_bytes(stranger.peek(0x1100 + 4 * k, 4), "little", signed=True) for k in (0, 57, 99)] == [
+    assert [int.from_bytes(foreign_target.peek(0x1100 + 4 * k, 4), "little", signed=True) for k in (0, 57, 99)] == [
         0, -57, -99,
     ]  # fmt: skip
 
 
-# ---- boards that speak version 3, and boards with passwords -------------------------------------------------------
+# ---- boards of version 3, and boards with passwords ---------------------------------------------------------------
 @pytest.mark.parametrize("big_endian", [False, True])
-def test_a_board_of_version_3(tmp_path: Path, run: Run, big_endian: bool, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_of_version_3_is_read_and_written(
+    tmp_path: Path, run: Run, big_endian: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
     rows = [
         FakeEntry("loop_t", None, 0, 6, 0),
         FakeEntry("gain", b"\xf4:3.12", 0, 2, 2),
@@ -494,7 +498,7 @@ def locked(tmp_path: Path) -> Iterator[FakeTarget]:
         yield target
 
 
-def test_a_password_opens_its_level(locked: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_password_gives_its_access_level(locked: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--password", "look", "get", "x") == 0
     locked.reset()
     assert run("set", "x", "7", "--password", "look") == 1
@@ -517,22 +521,24 @@ def test_a_password_is_taken_from_the_environment(
     monkeypatch.setenv("SERVO_PASSWORD", "move")
     assert run("set", "x", "9") == 0
     locked.reset()
-    assert run("set", "x", "9", "--password", "look") == 1, "the command line comes first"
+    assert run("set", "x", "9", "--password", "look") == 1, "the command line has precedence"
 
 
-def test_log_prints_what_the_board_writes(stranger: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    stranger.pipe += b"0 reset\n8 axis1 INIT\n"
+def test_log_prints_the_text_of_the_board(
+    foreign_target: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign_target.pipe += b"0 reset\n8 axis1 INIT\n"
     assert run("log") == 0
     assert capsys.readouterr().out == "0 reset\n8 axis1 INIT\n"
     assert run("log") == 0
-    assert capsys.readouterr().out == "", "what has been printed is gone"
+    assert capsys.readouterr().out == "", "printed lines are removed from the pipe"
     assert run("log", "--pipe", "2") == 1
     assert "pipe error" in capsys.readouterr().err
     assert run("log", "--pipe", "200") == 1
     assert "pipe 200 is not 1 .. 127" in capsys.readouterr().err
 
 
-def test_a_password_is_asked_for_at_a_terminal(
+def test_a_password_is_requested_at_a_terminal(
     locked: FakeTarget, run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("get", "x") == 1
@@ -544,8 +550,8 @@ def test_a_password_is_asked_for_at_a_terminal(
     assert answers == []
 
 
-def test_recording_what_no_scope_can_carry(
-    stranger: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_values_beyond_the_capacity_of_the_scope_are_read_separately(
+    foreign_target: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "x.csv"
     assert run("record", "gain", "table", "-o", str(file), "--duration", "0.1", "--rate", "100") == 0
@@ -568,21 +574,21 @@ def test_a_servo_board_of_another_version_is_not_written(
     assert fake_board.get("param.host_timeout") == [777]
 
 
-# ---- trouble ------------------------------------------------------------------------------------------------------
-def test_a_missing_port_is_named_in_one_line(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+# ---- failures -----------------------------------------------------------------------------------------------------
+def test_a_missing_port_is_reported_in_one_line(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("info", "--port", "/dev/ttyNOPE") == 1
     err = capsys.readouterr().err
     assert "the port /dev/ttyNOPE does not exist" in err
     assert err.count("\n") == 1
 
 
-def test_a_device_of_another_protocol_is_named(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_of_another_protocol_is_reported(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     with FakePort(tmp_path / "ttyFAKE", NoiseDevice()):
         assert run("info") == 1
     assert "not FreeMASTER" in capsys.readouterr().err
 
 
-def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_without_answers_is_reported(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     fake_port.silent = True
     assert run("info", "--baud", "57600") == 1
     assert "no response at 57600 baud" in capsys.readouterr().err
@@ -601,7 +607,9 @@ def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFix
         (["watch", "x", "--count", "-1"], "-1 is not above 0"),
     ],
 )
-def test_wrong_command_lines(run: Run, arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_command_lines_are_usage_errors(
+    run: Run, arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as caught:
         run(*arguments)
     assert caught.value.code == 2
@@ -610,7 +618,9 @@ def test_wrong_command_lines(run: Run, arguments: list[str], text: str, capsys: 
     assert text in err
 
 
-def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_baud_rate_is_taken_from_the_environment(
+    fake_port: FakePort, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("SERVO_BAUD", "fast")
     assert run("info") == 2
     monkeypatch.setenv("SERVO_BAUD", "9600")

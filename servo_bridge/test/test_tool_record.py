@@ -69,7 +69,7 @@ def rows_of(path: Path) -> tuple[list[str], list[list[float]]]:
     return head, [[float(cell) for cell in row] for row in rows]
 
 
-def test_a_burst_around_a_trigger(
+def test_a_burst_is_recorded_around_its_trigger(
     servo: FakeServo, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = [str(tmp_path / name) for name in ("burst.csv", "burst.npz", "burst.png")]
@@ -89,7 +89,7 @@ def test_a_burst_around_a_trigger(
     assert "100 points, -0.00375 .. 0.008625 s in" in capsys.readouterr().out
 
 
-def test_a_burst_without_a_trigger_is_all_that_fits(servo: FakeServo, run: Run, tmp_path: Path) -> None:
+def test_a_burst_without_a_trigger_fills_the_memory(servo: FakeServo, run: Run, tmp_path: Path) -> None:
     file = tmp_path / "x.csv"
     assert run("record", "--recorder", "0", "tick", "-o", str(file)) == 0
     _, rows = rows_of(file)
@@ -98,7 +98,7 @@ def test_a_burst_without_a_trigger_is_all_that_fits(servo: FakeServo, run: Run, 
     assert {b[1] - a[1] for a, b in pairwise(rows)} == {1}
 
 
-def test_a_trigger_that_does_not_come(
+def test_a_recording_without_its_trigger_is_written_after_the_timeout(
     servo: FakeServo, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "x.csv"
@@ -108,7 +108,7 @@ def test_a_trigger_that_does_not_come(
     assert len(rows_of(file)[1]) == 50
 
 
-def test_a_recording_for_rerun(servo: FakeServo, run: Run, tmp_path: Path) -> None:
+def test_a_recording_is_written_for_rerun(servo: FakeServo, run: Run, tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     file = tmp_path / "burst.rrd"
     assert run("record", "tick", "axis1.i_q", "--points", "20", "-o", str(file)) == 0
@@ -170,7 +170,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_the_progress_is_a_line_at_a_terminal_that_is_wiped_at_the_end() -> None:
+def test_progress_is_one_line_of_a_terminal_and_erased_at_the_end() -> None:
     terminal, pipe = Terminal(), io.StringIO()
     for stream in (terminal, pipe):
         with ProgressLine(stream) as progress:
@@ -182,7 +182,7 @@ def test_the_progress_is_a_line_at_a_terminal_that_is_wiped_at_the_end() -> None
 
 
 @pytest.mark.parametrize("big_endian", [False, True])
-def test_a_board_of_version_3(tmp_path: Path, run: Run, big_endian: bool) -> None:
+def test_a_board_of_version_3_is_recorded(tmp_path: Path, run: Run, big_endian: bool) -> None:
     rows = [FakeEntry("saw", b"\xf5", 0x1000, 2, RO), FakeEntry("count", b"\xe1", 0x1002, 2, RO)]
     target = FakeTargetV3(tables=[rows], recorder_memory=512, big_endian=big_endian)
     target.build()
@@ -205,7 +205,7 @@ def test_a_board_of_version_3(tmp_path: Path, run: Run, big_endian: bool) -> Non
     assert found[11][2] - found[10][2] == 2
 
 
-def test_a_board_without_a_recorder(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_without_a_recorder_is_reported(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     target = FakeTarget(tables=[[FakeEntry("x", b"\xf1", 0x1000, 2, RO)]])
     target.build()
     with FakePort(tmp_path / "ttyFAKE", target):

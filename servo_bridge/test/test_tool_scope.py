@@ -61,7 +61,7 @@ def test_foreign_board_is_shown_with_the_clock_of_the_host(tmp_path: Path, capsy
     assert len(times) == 41
     assert saw[9] <= 0.5 < saw[10]
     assert np.diff(times[:40]) == pytest.approx(np.full(39, 2e-3))
-    assert len(curve(file, "/plot/count/board")[0]) > 2, "the variables of the burst are the telemetry"
+    assert len(curve(file, "/plot/count/board")[0]) > 2, "the burst has the variables of the telemetry"
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_variables_that_cannot_be_shown_are_reported(
     assert not (tmp_path / "x.rrd").exists()
 
 
-def test_a_board_without_a_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_without_a_recorder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = FakeTarget(tables=[[FakeEntry("x", b"\xf1", 0x1000, 2, RO)]])
     target.build()
     with FakePort(tmp_path / "ttyFAKE", target):

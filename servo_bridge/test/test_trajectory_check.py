@@ -90,7 +90,7 @@ def test_first_violation_of_all_joints_is_reported() -> None:
     assert str(low).startswith("position of axis2 is below its limit 0.5 rad at 0 s with a peak of 0 rad; move the")
 
 
-def test_friction_at_a_turn_and_a_shaft_at_rest() -> None:
+def test_friction_at_a_reversal_and_at_rest_is_included() -> None:
     # Velocity from -1 to 1: Coulomb friction adds to the torque of the acceleration only after the reversal.
     turn = path_through(Waypoints.of(["axis1"], [0, 2], [[0], [0]], [[-1], [1]]))
     limits = Limits(torque_max=1.4, inertia=1.0, coulomb=0.5)

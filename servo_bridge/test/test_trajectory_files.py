@@ -90,7 +90,7 @@ def test_a_wrong_json_file_is_refused(tmp_path: File, text: str, sentence: str) 
         read(tmp_path, "path.json", text)
 
 
-def test_files_that_cannot_be_read(tmp_path: File) -> None:
+def test_unreadable_files_are_reported(tmp_path: File) -> None:
     with pytest.raises(TrajectoryError, match=r"path\.txt: unknown format; use a file"):
         read(tmp_path, "path.txt", "")
     with pytest.raises(TrajectoryError, match=r"none\.csv: cannot be read \(No such file or directory\)"):

@@ -52,6 +52,7 @@ class Rig:
             words = self.follower.next_points() if fetch else None
             if words is not None:
                 points = decode_points(CATALOGUE, words)
+                self.follower.points_accepted({point.axis for point in points})
                 self.sent += points
                 self.leads += [point.tick - self.tick for point in points]
 
@@ -78,7 +79,7 @@ def rig() -> Rig:
     return rig
 
 
-def test_a_path_begins_from_where_the_axes_hold_and_ends_where_it_says(rig: Rig) -> None:
+def test_a_path_begins_at_the_held_positions_and_ends_at_its_target(rig: Rig) -> None:
     rig.move([2.0, 2.0])
     rig.sample(75)
     (end,) = rig.ends
@@ -125,7 +126,7 @@ def test_follower_waits_until_the_axes_follow_points_and_hold(rig: Rig) -> None:
     assert rig.of(1)[0].position == pytest.approx(-1.8, abs=1e-6)
 
 
-def test_no_more_points_than_the_queue_holds_and_all_in_time(rig: Rig) -> None:
+def test_points_are_sent_in_time_and_fit_the_queue(rig: Rig) -> None:
     rig.move([40.0, -40.0], seconds=4.0)
     worst = 0
     for _ in range(500):
@@ -136,7 +137,7 @@ def test_no_more_points_than_the_queue_holds_and_all_in_time(rig: Rig) -> None:
     assert 8 <= worst <= 14
 
 
-def test_another_path_takes_over_with_the_state_of_the_first(rig: Rig) -> None:
+def test_another_path_starts_with_the_state_of_the_first(rig: Rig) -> None:
     rig.move([3.0, 0.0], seconds=1.0)
     rig.sample(40)
     old = rig.follower.paths()["axis1"]
@@ -163,12 +164,12 @@ def test_the_other_joint_keeps_its_path(rig: Rig) -> None:
     assert len(rig.ends) == 2
 
 
-def test_a_path_for_later_waits_for_its_time(rig: Rig) -> None:
+def test_a_path_with_a_later_start_waits_for_its_time(rig: Rig) -> None:
     start = rig.tick * PERIOD + 1.0
     rig.move([2.0, -2.0], start=start)
-    rig.sample(70)
+    rig.sample(55)
     assert not rig.sent
-    rig.sample(100)
+    rig.sample(115)
     assert rig.of(0)[0].tick * PERIOD == pytest.approx(start, abs=PERIOD)
 
 
@@ -198,7 +199,7 @@ def test_distance_of_points_is_not_below_the_minimum_of_the_board(spacing: int) 
         assert min(np.diff(queue)) >= 16
 
 
-def test_a_path_that_is_refused_moves_nothing(rig: Rig) -> None:
+def test_a_refused_path_causes_no_motion(rig: Rig) -> None:
     def refuse(_: Path) -> None:
         raise TrajectoryError("too fast")
 
@@ -211,7 +212,7 @@ def test_a_path_that_is_refused_moves_nothing(rig: Rig) -> None:
     assert rig.follower.axes == frozenset()
 
 
-def test_a_cancelled_axis_gets_no_points_any_more(rig: Rig) -> None:
+def test_a_cancelled_axis_gets_no_more_points(rig: Rig) -> None:
     rig.move([20.0, -20.0], seconds=3.0)
     rig.sample(5)
     rig.follower.cancel(0, "a set-point took over")
@@ -273,6 +274,125 @@ def test_points_of_a_geared_reversed_joint_are_those_of_its_motor() -> None:
     motor.move([51.0], joints=["axis1"], seconds=1.0)
     motor.sample(150)
     assert abs(len(points) - len(motor.of(0))) <= 1
+
+
+# ---- first points that come too late --------------------------------------------------------------------------------
+
+
+class Late:
+    """Paths whose first points the board has refused because they came too late."""
+
+    def __init__(self, joints: Sequence[str] = JOINTS, start: float = 0.0, goal: float = 2.0) -> None:
+        self.rig = Rig()
+        self.rig.sample(2)
+        self.leads: list[float] = []  # of each plan [s]
+        self.abandoned: list[str] = []
+        self.wanted = True  # the owner still needs the path
+
+        def plan(running: Path, now: float) -> Path:
+            self.leads.append(now - self.rig.tick * PERIOD)
+            waypoints = Waypoints.of(joints, [max(now, start) + 0.05], [[goal] * len(joints)])
+            return path_through(waypoints, running.select(joints).state(max(now, start)), max(now, start))
+
+        self.rig.follower.request(
+            joints,
+            plan,
+            self.rig.ends.append,
+            lambda error: self.rig.refusals.append(str(error)),
+            start,
+            abandoned=self.abandoned.append,
+            postponed=lambda: self.wanted,
+        )
+        self.send()
+
+    def send(self) -> None:
+        """Take the first points from the follower; the board does not answer."""
+        for _ in range(3):
+            self.rig.sample(fetch=False)
+        assert self.rig.follower.next_points() is not None
+
+    def wait(self, seconds: float = 0.3) -> None:
+        """Samples of joints that do not move."""
+        for _ in range(round(seconds / PERIOD) // SAMPLE):
+            self.rig.tick += SAMPLE
+            reports = [AxisReport(reference, follows=True) for reference in (1.0, -2.0)]
+            self.rig.follower.on_sample(self.rig.tick, reports)
+
+
+def test_path_is_planned_again_with_a_longer_lead_twice() -> None:
+    late = Late()
+    for _ in range(2):
+        late.wait(1.0)
+        assert late.rig.follower.postpone([0, 1])
+        late.wait(0.03)
+        assert late.rig.follower.next_points() is not None
+    late.wait(1.0)
+    assert not late.rig.follower.postpone([0, 1])
+    assert late.leads == pytest.approx([LEAD, 3 * LEAD, 9 * LEAD], abs=0.02)
+    assert len(late.rig.ends) == 3
+    assert not late.abandoned
+
+
+def test_path_of_one_write_is_repeated_although_its_end_has_passed() -> None:
+    late = Late(["axis1"], goal=1.0)
+    assert late.rig.follower.next_points() is None
+    late.wait(1.0)
+    assert late.rig.follower.postpone([0])
+
+
+def test_path_is_not_repeated_if_its_points_came_in_time() -> None:
+    """The board has refused them for another reason."""
+    late = Late()
+    assert not late.rig.follower.postpone([0, 1])
+
+
+def test_path_is_not_repeated_after_the_board_has_accepted_points() -> None:
+    late = Late()
+    late.rig.follower.points_accepted([0])
+    late.wait()
+    assert not late.rig.follower.postpone([1])
+
+
+def test_path_with_a_start_time_is_not_repeated() -> None:
+    late = Late(start=(8000 + 3 * SAMPLE) * PERIOD + 0.1)
+    late.wait()
+    assert not late.rig.follower.postpone([0, 1])
+
+
+def test_path_is_not_repeated_if_another_command_has_taken_one_of_its_joints() -> None:
+    late = Late()
+    late.wait()
+    late.rig.follower.cancel(0, "a set-point took over")
+    assert late.abandoned == ["a set-point took over"]
+    assert not late.rig.follower.postpone([1])
+
+
+def test_path_is_not_repeated_while_another_one_waits() -> None:
+    late = Late()
+    late.wait()
+    late.rig.move([0.0], joints=["axis2"], start=1e3)
+    assert not late.rig.follower.postpone([0, 1])
+
+
+def test_path_is_not_repeated_if_its_owner_does_not_need_it() -> None:
+    late = Late()
+    late.wait()
+    late.wanted = False
+    assert not late.rig.follower.postpone([0, 1])
+    late.wait()
+    assert len(late.leads) == 1
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_cancelling_a_joint_ends_a_postponed_path_of_both(axis: int) -> None:
+    late = Late()
+    late.wait()
+    assert late.rig.follower.postpone([0, 1])
+    late.rig.follower.cancel(axis, "the axes were disabled")
+    assert late.rig.refusals == ["the axes were disabled"]
+    late.wait()
+    assert late.rig.follower.next_points() is None
+    assert late.rig.follower.axes == frozenset()
 
 
 def test_merged_paths_are_the_same_motions() -> None:

@@ -30,7 +30,7 @@ def test_goal_succeeds_at_the_end_of_its_path_within_its_tolerance() -> None:
     subject.begun(2.0)
     assert subject.moving
     assert subject.sample(1.0, TARGET, at(0.6)) is Step.NOTHING
-    assert subject.sample(2.5, TARGET, at(0.8)) is Step.NOTHING, "it may still come"
+    assert subject.sample(2.5, TARGET, at(0.8)) is Step.NOTHING, "it may still reach its tolerance"
     assert subject.sample(2.6, TARGET, at(0.95)) is Step.END
     assert subject.outcome.phase is Phase.SUCCEEDED
 
@@ -81,6 +81,26 @@ def test_cancelling_a_goal_before_its_start_stops_no_joint() -> None:
     assert subject.sample(0.5, None, at(0.0)) is Step.WITHDRAW
     assert subject.canceled
     assert subject.ended
+
+
+def test_postponed_goal_waits_without_tolerances_until_it_begins_again() -> None:
+    subject = goal()
+    subject.begun(2.0)
+    subject.postponed()
+    assert not subject.moving
+    assert subject.sample(3.5, None, at(9.0)) is Step.NOTHING
+    subject.begun(6.0)
+    assert subject.sample(5.0, TARGET, at(0.6)) is Step.NOTHING
+    assert subject.sample(6.1, TARGET, at(0.95)) is Step.END
+    assert subject.outcome.phase is Phase.SUCCEEDED
+
+
+def test_cancelling_a_postponed_goal_discards_its_path() -> None:
+    subject = goal()
+    subject.begun(2.0)
+    subject.postponed()
+    subject.cancel()
+    assert subject.sample(2.1, None, at(0.0)) is Step.WITHDRAW
 
 
 def test_a_cancelled_goal_whose_stop_is_refused_is_aborted() -> None:

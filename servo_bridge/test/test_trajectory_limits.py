@@ -28,7 +28,7 @@ def limits(*joints: Joint, confined: bool = True) -> list[Limits]:
     return path_limits(CATALOGUE, raw, joints, [Motor(0.05, 1e-5), Motor(0.04, 2e-5)])
 
 
-def test_limits_of_the_board_go_through_the_gear_and_change_ends() -> None:
+def test_limits_of_the_board_are_converted_by_a_reversing_gear() -> None:
     arm, wheel = limits(Joint("arm", 10.0, -1, 0.5), Joint("wheel"))
     assert (arm.position_min, arm.position_max) == pytest.approx((0.5 - 3.0, 0.5 + 1.0), abs=1e-3)
     assert (arm.velocity_max, arm.acceleration_max) == pytest.approx((10.0, 200.0), rel=1e-3)

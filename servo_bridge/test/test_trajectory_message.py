@@ -42,14 +42,14 @@ def taken(trajectory: Any, running: Path = HOLD, **options: Any) -> Path:
     return from_message(trajectory, running, NOW, ORIGIN, **options)
 
 
-def same(actual: State, wanted: State) -> None:
-    np.testing.assert_allclose(actual.position, wanted.position, atol=1e-9)
-    np.testing.assert_allclose(actual.velocity, wanted.velocity, atol=1e-9)
-    np.testing.assert_allclose(actual.acceleration, wanted.acceleration, atol=1e-7)
+def same(actual: State, expected: State) -> None:
+    np.testing.assert_allclose(actual.position, expected.position, atol=1e-9)
+    np.testing.assert_allclose(actual.velocity, expected.velocity, atol=1e-9)
+    np.testing.assert_allclose(actual.acceleration, expected.acceleration, atol=1e-7)
 
 
 @pytest.mark.parametrize("running", [HOLD, MOVING])
-def test_no_stamp_means_now(running: Path) -> None:
+def test_zero_stamp_means_now(running: Path) -> None:
     path = taken(message(point(1.0, 2.0, 3.0), point(3.0, 0.0, 0.0)), running)
     assert list(path.times) == [10.0, 11.0, 13.0]
     same(path.state(NOW), running.state(NOW))
@@ -57,7 +57,7 @@ def test_no_stamp_means_now(running: Path) -> None:
 
 
 @pytest.mark.parametrize("running", [HOLD, MOVING])
-def test_a_stamp_in_the_future_is_waited_for(running: Path) -> None:
+def test_path_begins_at_its_future_stamp(running: Path) -> None:
     path = taken(message(point(1.0, 2.0, 3.0), at=12.5), running)
     assert list(path.times) == pytest.approx([12.5, 13.5])
     same(path.state(path.start_time), running.state(12.5))
@@ -71,13 +71,13 @@ def test_trajectory_with_a_past_start_is_joined() -> None:
     np.testing.assert_allclose(path.state([10.5, 11.0]).position, [[2.0, -2.0], [2.5, -2.5]], atol=1e-6)
 
 
-def test_a_trajectory_of_the_past_whose_points_are_to_come_begins_where_the_joints_are() -> None:
+def test_a_past_trajectory_with_future_points_begins_at_the_present_positions() -> None:
     path = taken(message(point(3.0, 2.0, 3.0), at=8.0), MOVING)
     same(path.state(NOW), MOVING.state(NOW))
     assert path.end_time == pytest.approx(11.0)
 
 
-def test_joints_in_any_order_and_some_of_them() -> None:
+def test_joints_may_have_any_order_and_be_incomplete() -> None:
     path = taken(message(point(1.0, 3.0, 2.0), names=("axis2", "axis1")))
     assert path.joints == JOINTS
     np.testing.assert_array_equal(path.end, [2.0, 3.0])
@@ -86,7 +86,7 @@ def test_joints_in_any_order_and_some_of_them() -> None:
     assert path.state(NOW).position[0] == 2.0
 
 
-def test_fields_of_points() -> None:
+def test_fields_of_points_are_used_in_the_path() -> None:
     both: dict[str, Any] = {"velocities": [1.0, 2.0], "accelerations": [3.0, 4.0], "effort": [0.1, 0.2]}
     path = taken(message(point(1.0, 2.0, 3.0, **both), point(2.0, 2.0, 3.0), point(3.0, 2.0, 3.0)))
     state = path.state(11.0)
@@ -96,7 +96,7 @@ def test_fields_of_points() -> None:
     assert not path.state(12.0).effort.any()
 
 
-def test_a_first_point_at_once_is_where_the_joints_are() -> None:
+def test_a_first_point_at_the_start_is_replaced_by_the_present_state() -> None:
     path = taken(message(point(0.0, 1.005, 2.0), point(1.0, 2.0, 3.0)))
     same(path.state(NOW), HOLD.state(NOW))
     assert len(path.times) == 2

@@ -80,7 +80,7 @@ def test_positions_alone_make_a_path_of_continuous_acceleration(steps: list[floa
         same(path.state(0.5), start(seed))
 
 
-def test_the_spline_is_that_of_the_textbook() -> None:
+def test_spline_agrees_with_the_closed_form() -> None:
     # Clamped spline through 0, 1, 0: velocity 0 in the middle by symmetry; through 0, 1, 2: 4 v = 3 * 2.
     middle = [
         path_through(Waypoints.of(["axis1"], [0, 1, 2], [[0], [1], [p]])).state(1.0).velocity[0] for p in (0.0, 2.0)
@@ -88,13 +88,13 @@ def test_the_spline_is_that_of_the_textbook() -> None:
     np.testing.assert_allclose(middle, [0.0, 1.5], atol=1e-12)
 
 
-def test_velocities_in_some_points_are_kept_and_the_others_found() -> None:
+def test_given_velocities_are_kept_and_missing_ones_computed() -> None:
     path = path_through(Waypoints.of(["axis1"], [0, 1, 2, 3], [[0], [1], [0], [2]], [None, [3.0], None, [0.0]]))
     np.testing.assert_allclose(path.state(1.0).velocity, 3.0)
     np.testing.assert_allclose(before(path, 2.0).acceleration, path.state(2.0).acceleration)
 
 
-def test_state_takes_many_times_and_holds_outside() -> None:
+def test_state_accepts_arrays_of_times_and_holds_outside_the_path() -> None:
     path = path_through(Waypoints.of(JOINTS, [1, 2], [[0, 0], [1, -1]], [[1, 1], [2, 2]]))
     state = path.state([[0.0, 1.0], [2.0, 5.0]])
     assert state.position.shape == (2, 2, 2)
@@ -108,7 +108,7 @@ def test_state_takes_many_times_and_holds_outside() -> None:
     np.testing.assert_allclose(path.state(t).acceleration, slope, atol=1e-6)
 
 
-def test_parts_and_shifts_of_a_path() -> None:
+def test_parts_and_shifts_of_a_path_are_the_same_motion() -> None:
     path = path_through(points([1.0, 2.0], 3))
     np.testing.assert_array_equal(path.select(["axis2"]).state(2.5).position, path.state(2.5).position[1:])
     np.testing.assert_allclose(path.shifted(4.0).state(6.5).position, path.state(2.5).position)
@@ -124,7 +124,7 @@ def test_one_waypoint_starts_from_the_state() -> None:
     same(path.state(2.0), State.at_rest([1.0, 2.0]))
 
 
-def test_a_waypoint_at_the_start_gives_way_to_the_state() -> None:
+def test_a_waypoint_at_the_start_is_replaced_by_the_state() -> None:
     state = State.at_rest([0.005, 0.0])
     path = path_through(Waypoints.of(JOINTS, [0.0, 1.0], [[0.0, 0.0], [1.0, 1.0]]), state)
     same(path.state(0.0), state)

@@ -22,7 +22,7 @@ def at_rest(path: Path, time: float) -> bool:
     return bool(np.abs(state.velocity).max() < 1e-7 and np.abs(state.acceleration).max() < 1e-5)
 
 
-def test_a_move_in_a_given_time() -> None:
+def test_a_move_takes_the_given_time() -> None:
     path = move(JOINTS, [1.0, 2.0], [4.0, 2.0], 2.0)
     assert (path.start_time, path.end_time) == (0.0, 2.0)
     assert at_rest(path, 0.0)
@@ -41,7 +41,7 @@ def test_a_move_in_a_given_time() -> None:
         Limits(velocity_max=3.0, acceleration_max=5.0, position_max=0.0),
     ],
 )
-def test_a_move_as_fast_as_the_limits_allow(limit: Limits) -> None:
+def test_a_move_is_as_fast_as_the_limits_permit(limit: Limits) -> None:
     path = move(JOINTS, [0.0, 0.0], [3.0, -1.0], limits=[limit, limit])
     free = [replace(limit, position_max=np.inf)] * 2
     assert first_violation(path, free) is None
@@ -53,8 +53,8 @@ def test_a_move_as_fast_as_the_limits_allow(limit: Limits) -> None:
     [
         ({"duration": 0.0}, "duration is 0 s; write a finite number above 0"),
         ({"duration": float("nan")}, "duration is nan s"),
-        ({}, "there is no duration"),
-        ({"limits": [Limits(), Limits(velocity_max=1.0)]}, "there is no duration"),
+        ({}, "no duration is given"),
+        ({"limits": [Limits(), Limits(velocity_max=1.0)]}, "no duration is given"),
         ({"limits": [Limits(torque_max=1.0, inertia=0.1, coulomb=2.0)] * 2}, "no duration is long enough: torque of"),
     ],
 )
@@ -75,10 +75,10 @@ def test_a_stop_begins_with_the_state_and_keeps_its_limit(seed: int) -> None:
     p, v, a, e = random.uniform(-3.0, 3.0, (4, 2)) * [[1], [20], [50], [1]]
     path = stop(JOINTS, State(p, v, a, e), [100.0, 200.0], 5.0)
     state = path.state(5.0)
-    for actual, wanted in zip(
+    for actual, expected in zip(
         (state.position, state.velocity, state.acceleration, state.effort), (p, v, a, e), strict=True
     ):
-        np.testing.assert_allclose(actual, wanted)
+        np.testing.assert_allclose(actual, expected)
     assert at_rest(path, path.end_time)
     np.testing.assert_allclose(path.state(path.end_time - 1e-9).position, path.end, atol=1e-9)
     bounds = [Limits(acceleration_max=max(100.0, 1.002 * abs(a[0]))), Limits(acceleration_max=200.0)]
@@ -112,8 +112,8 @@ def test_a_lissajous_figure_with_one_frequency_is_a_circle() -> None:
 def test_frequencies_of_a_lissajous_figure_may_differ() -> None:
     path = lissajous(JOINTS, [0.0, 0.0], [1.0, 2.0], [3.0, 2.0], 4.0, phase=0.0)
     t = np.linspace(0.5, 3.5, 3001)
-    wanted = np.stack((np.sin(6.0 * np.pi * t), 2.0 * np.sin(4.0 * np.pi * t)), axis=-1)
-    np.testing.assert_allclose(path.state(t).position, wanted, atol=1e-7)
+    expected = np.stack((np.sin(6.0 * np.pi * t), 2.0 * np.sin(4.0 * np.pi * t)), axis=-1)
+    np.testing.assert_allclose(path.state(t).position, expected, atol=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ def test_an_hour_of_points_does_not_drift() -> None:
     assert np.abs(points.periods * PERIOD - times).max() <= 0.501 * PERIOD
 
 
-def test_a_long_hold_is_cut_every_minute() -> None:
+def test_a_long_hold_has_a_point_every_minute() -> None:
     periods = timed_points(Path.hold(["axis1"], [1.0], 0.0, 150.0))["axis1"].periods
     assert len(periods) == 4
     assert np.diff(periods).max() <= 960_000
@@ -100,7 +100,7 @@ def test_a_joint_at_rest_needs_two_points() -> None:
     assert len(timed_points(path)["axis2"].periods) == 2
 
 
-def test_breakpoints_closer_than_the_board_can_take() -> None:
+def test_breakpoints_closer_than_the_minimum_distance_are_merged_or_refused() -> None:
     fine = np.arange(0.0, 0.1, 0.0004)
     smooth = path_through(Waypoints.of(["axis1"], fine, np.sin(fine)[:, None], np.cos(fine)[:, None]))
     points = timed_points(smooth)["axis1"]

@@ -49,7 +49,7 @@ def test_illegal_tolerances_are_refused(tolerance: SimpleNamespace, code: int, s
     assert caught.value.code == code
 
 
-def test_the_time_to_wait() -> None:
+def test_goal_time_is_the_requested_or_the_default_one() -> None:
     assert goal_time_from(0.0, 0.7) == 0.7
     assert goal_time_from(0.2, 0.7) == 0.2
     for wrong in (-1.0, math.nan):

@@ -77,14 +77,14 @@ def test_invalid_trajectory_is_refused_at_once(rig: Rig) -> None:
     assert rig.link.written == []
 
 
-def test_a_limit_between_two_points_is_named(rig: Rig) -> None:
+def test_a_limit_exceeded_between_two_points_is_reported(rig: Rig) -> None:
     publish(rig, trajectory((0.01, [3.0, 0.0])))
 
-    def told() -> bool:
+    def reported() -> bool:
         sampled(rig)
         return bool(rig.rejections())
 
-    rig.until(told)
+    rig.until(reported)
     assert "axis1" in rig.rejections()[-1]
     assert "limit" in rig.rejections()[-1]
     assert sampled(rig) == []
@@ -99,7 +99,7 @@ def test_axis_that_is_not_ready_is_reported(rig: Rig) -> None:
     assert "axis2 is in FAULT" in rig.rejections()[-1]
 
 
-def test_a_set_point_takes_over(rig: Rig) -> None:
+def test_a_set_point_replaces_the_path(rig: Rig) -> None:
     publish(rig, trajectory((5.0, [1.0, -1.0])))
     rig.until(lambda: len(sampled(rig)) >= 2)
     rig.joint_commands.publish(JointState(name=["axis1", "axis2"], position=[0.0, 0.0]))

@@ -83,7 +83,7 @@ def test_any_value_is_accepted_or_refused_with_a_reason(name: str, operator: str
 @given(  # a value very close to an integer number of units is taken as that integer
     operator=OPERATORS, value=st.one_of(st.integers(-200, 200), st.floats(-10, 10).map(lambda value: round(value, 6)))
 )
-def test_a_whole_range_of_raw_numbers_compares_as_the_text_says(name: str, operator: str, value: float) -> None:
+def test_comparison_of_integers_agrees_with_the_text(name: str, operator: str, value: float) -> None:
     variable = BOARD[name]
     scale = 2.0**-variable.target.type.fraction_bits
     compare = {">": gt, ">=": ge, "<": lt, "<=": le}[operator]
@@ -97,7 +97,7 @@ def test_a_whole_range_of_raw_numbers_compares_as_the_text_says(name: str, opera
 
 
 @given(operator=OPERATORS, value=st.floats(-1e6, 1e6, width=32))
-def test_floats_compare_as_the_text_says(operator: str, value: float) -> None:
+def test_comparison_of_floats_agrees_with_the_text(operator: str, value: float) -> None:
     trigger = trigger_of(Expression("real", operator, repr(value)), BOARD, CATALOGUE)
     assert trigger.compare is Compare.FLOAT
     (threshold,) = struct.unpack("<f", trigger.threshold.to_bytes(4, "little"))
@@ -105,7 +105,7 @@ def test_floats_compare_as_the_text_says(operator: str, value: float) -> None:
     assert math.isclose(threshold, value, rel_tol=1e-6, abs_tol=1e-30)
 
 
-def test_values_are_si_where_the_catalogue_knows_the_variable() -> None:
+def test_values_of_catalogue_variables_are_si() -> None:
     trigger = trigger_of(parse_expression("axis1.i_q > 1.0"), BOARD, CATALOGUE)
     lsb = CATALOGUE["axis1.i_q"].lsb
     assert (trigger.threshold - 1) * lsb <= 1.0 < trigger.threshold * lsb
@@ -141,11 +141,11 @@ def test_the_threshold_can_be_another_variable() -> None:
         ("> 1", "is not a trigger"),
     ],
 )
-def test_invalid_triggers(text: str, message: str) -> None:
+def test_invalid_triggers_are_usage_errors(text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         trigger_of(parse_expression(text), BOARD, CATALOGUE)
 
 
-def test_an_unknown_variable_is_named() -> None:
+def test_an_unknown_variable_is_reported() -> None:
     with pytest.raises(UnknownVariableError, match=r"did you mean axis1\.i_q"):
         trigger_of(parse_expression("axis1.iq > 1"), BOARD, CATALOGUE)

@@ -114,7 +114,7 @@ def merged(before: Iterable[Assignment], later: Iterable[Assignment]) -> list[As
 
 
 def applied(assignments: Iterable[Assignment], present: RawParameters) -> dict[str, list[int]]:
-    """Parameters after some assignments; those without a known value of every element are omitted."""
+    """Result of the assignments; a parameter with an unknown element is omitted."""
     result = {name: list(raw) for name, raw in present.items()}
     for assignment in assignments:
         name = assignment.variable.name

@@ -101,8 +101,8 @@ def _table(
     size = min(size, capacity)
     order = (following - size + np.arange(size)) % capacity
     samples = {name: ring[order] for name, ring in rings.items()}
-    # The last sample was taken in the period of the fault. If that is the monitor period, then axis 1 was sampled after
-    # its fast loop and has no other sample in it, and axis 2 has one half a period before.
+    # The last sample was taken in the period of the fault. A fault in the monitor period: axis 1 has no regular sample
+    # in this period, the previous one is a slow tick older; axis 2 has one half a period earlier.
     periods = (tick - _MONITOR_PERIOD) % SLOW_PERIODS or (SLOW_PERIODS if axis == 0 else 0.5)
     since_monitor = periods * PERIOD_NS * 1e-9
     time = -since_monitor - _TICK * np.arange(size - 2, -2, -1.0)

@@ -1,4 +1,4 @@
-"""Reproducible random examples, without a time limit that a busy machine exceeds."""
+"""Reproducible random examples, without a time limit that could fail on a busy machine."""
 
 from __future__ import annotations
 

@@ -36,8 +36,8 @@ def test_block_is_restored_from_bytes_and_words(block: dict[str, int], axis: int
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(BLOCKS, st.sampled_from(MEMBERS), st.sampled_from([-1, 1]))
-def test_values_that_the_board_refuses_are_reported(block: dict[str, int], member: Member, way: int) -> None:
-    wrong = member.maximum + 1 if way > 0 else member.minimum - 1
+def test_values_that_the_board_refuses_are_reported(block: dict[str, int], member: Member, sign: int) -> None:
+    wrong = member.maximum + 1 if sign > 0 else member.minimum - 1
     with pytest.raises(AxisConfigError, match=member.path.replace(".", r"\.")):
         TABLE.check({**block, member.path: wrong})
     missing = dict(block)

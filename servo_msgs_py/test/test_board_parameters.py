@@ -11,7 +11,7 @@ CATALOGUE = Catalogue.load()
 DEFAULTS = {v.name: [v.to_raw(max(v.minimum, 0.0))] * v.count for v in parameters(CATALOGUE)}
 
 
-def test_one_element_and_all_of_them() -> None:
+def test_assignments_of_one_element_and_of_all_elements_are_parsed() -> None:
     one = parse("param.features[1] = anti_windup+POSITION_LIMITS", CATALOGUE)
     assert (one.variable.name, one.element, one.raw) == ("param.features", 1, (0x81,))
     assert one.text == "param.features[1]=anti_windup+POSITION_LIMITS"
@@ -59,8 +59,8 @@ def test_a_later_assignment_replaces_an_earlier_one() -> None:
 
 def test_reversed_limits_are_refused() -> None:
     assert contradiction(DEFAULTS, CATALOGUE) == ""
-    turned = applied([parse("param.position_min[1]=3", CATALOGUE)], DEFAULTS)
-    text = contradiction(turned, CATALOGUE)
+    reversed_limits = applied([parse("param.position_min[1]=3", CATALOGUE)], DEFAULTS)
+    text = contradiction(reversed_limits, CATALOGUE)
     assert text.startswith("param.position_min[1] 3.00022 rad exceeds param.position_max[1] 0 rad")
     assert contradiction({"param.position_min": [1, 1]}, CATALOGUE) == ""
 

@@ -1,4 +1,4 @@
-"""How a band is divided into recordings."""
+"""Division of a band into recordings."""
 
 from __future__ import annotations
 

@@ -53,9 +53,9 @@ def test_every_variable_is_described_and_finite() -> None:
 def test_variables_that_the_project_uses_exist() -> None:
     per_axis = ["position", "position_ref", "speed", "speed_ref", "i_q", "i_d", "i_q_ref", "u_d", "u_q", "theta_e"]
     per_axis += ["state", "substate", "faults", "limits", "torque_constant"]
-    wanted = {f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in per_axis}
-    wanted |= {"tick", "applied_tick", "applied_count", "u_dc", "catalogue_hash", "snapshot"}
-    assert wanted <= set(CATALOGUE.variables)
+    required = {f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in per_axis}
+    required |= {"tick", "applied_tick", "applied_count", "u_dc", "catalogue_hash", "snapshot"}
+    assert required <= set(CATALOGUE.variables)
 
 
 def test_only_commands_blocks_and_parameters_can_be_written() -> None:
@@ -82,14 +82,14 @@ def test_bus_voltage_is_scaled_as_in_the_reference_design() -> None:
     assert CATALOGUE["u_dc"].decode((21665).to_bytes(2, "little")) == pytest.approx(24.0, abs=1e-3)
 
 
-def test_one_turn_is_4000_counts() -> None:
+def test_one_revolution_has_4000_counts() -> None:
     assert CATALOGUE["cmd.position"].encode([2.0 * math.pi, -2.0 * math.pi]) == (4000).to_bytes(4, "little") + (
         -4000
     ).to_bytes(4, "little", signed=True)
 
 
 @given(st.sampled_from(sorted(n for n, v in CATALOGUE.variables.items() if v.size)), st.data())
-def test_bytes_to_si_and_back(name: str, data: st.DataObject) -> None:
+def test_conversion_of_bytes_to_si_is_reversible(name: str, data: st.DataObject) -> None:
     variable = CATALOGUE[name]
     raw = [data.draw(st.integers(variable.raw_type.low, variable.raw_type.high)) for _ in range(variable.count)]
     stored = variable.encode_raw(raw)
@@ -129,7 +129,7 @@ def test_wrong_values_are_refused(value: Any, message: str) -> None:
         small()["cmd.x"].encode(value)
 
 
-def test_raw_numbers_that_do_not_fit_are_refused() -> None:
+def test_raw_numbers_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="does not fit frac16"):
         small()["u"].encode_raw([40_000])
     with pytest.raises(ValueError, match="3 bytes read, 2 expected"):
@@ -144,7 +144,7 @@ def test_a_block_is_bytes_and_cannot_be_written() -> None:
         block.encode([1.0])
 
 
-def test_labels_and_flags() -> None:
+def test_labels_and_flags_are_decoded() -> None:
     catalogue = small()
     assert catalogue.label("mode_t", 1) == "B"
     assert catalogue.label("mode_t", 9) == "9"
@@ -157,7 +157,7 @@ def test_axis_variables_are_expanded() -> None:
     assert small()["axis2.mode"].path == "a[1].mode"
 
 
-def test_sources_are_expanded_and_do_without_a_path() -> None:
+def test_sources_are_expanded_and_need_no_path() -> None:
     assert CATALOGUE["axis2.i_q"].source == "axis[1].current_loop.current.q"
     assert CATALOGUE["axis2.i_q"].path.startswith("snapshot.")
     assert (CATALOGUE["axis2.i_a"].source, CATALOGUE["axis2.i_a"].path) == ("axis[1].sense.current.a", "")

@@ -18,7 +18,7 @@ CATALOGUE = Catalogue.load()
 ISOLATE = FIRMWARE / "diagnosis" / "fault_rules.c"
 
 
-@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
+@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware next to this package")
 def test_committed_files_are_up_to_date() -> None:
     for path, text in codegen.outputs(FIRMWARE, CATALOGUE).items():
         assert path.read_text(encoding="utf-8") == text, f"{path.name} is out of date: run `make generate`"
@@ -43,7 +43,7 @@ def test_generator_writes_compares_and_detects_a_change(tmp_path: Path, capsys: 
     assert re.findall(r"(\S+) is out of date", capsys.readouterr().err) == [str(header)]
 
 
-@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
+@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware next to this package")
 def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
     source = ISOLATE.read_text(encoding="utf-8")
     rules = FaultRules.parse(source)
@@ -62,7 +62,7 @@ def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
     ]
 
 
-@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
+@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware next to this package")
 @pytest.mark.parametrize(
     ("row", "instead", "message"),
     [
@@ -181,7 +181,7 @@ def test_string_offsets_point_at_the_strings() -> None:
             assert blob[offsets[1] :].split(b"\0")[0] != b""
 
 
-@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
+@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware next to this package")
 def test_list_of_faults_names_the_sources_that_raise_a_finding_and_refuses_a_finding_that_none_raises() -> None:
     sources = raised_in(FIRMWARE)
     assert sources["OVER_CURRENT_TRIP"] == ["diagnosis/bus_monitor.c"]

@@ -35,7 +35,7 @@ def test_a_stamp_converts_back_to_the_same_nanoseconds(nanoseconds: int) -> None
         assert convert.from_stamp(convert.to_stamp(nanoseconds)) == nanoseconds
 
 
-def test_joint_state_of_a_sample() -> None:
+def test_joint_state_has_stamp_and_si_values_of_a_sample() -> None:
     message = convert.joint_state_from_values(DEFAULT_JOINTS, 3_000_000_007, VALUES, [0.04, 0.05])
     message = deserialize_message(serialize_message(message), JointState)
     assert list(message.name) == JOINTS
@@ -58,13 +58,13 @@ def test_invalid_joint_states_are_refused(position: list[float], velocity: list[
         convert.joint_state(JOINTS, 0, position, velocity)
 
 
-def test_a_list_is_no_single_number() -> None:
+def test_a_list_is_refused_as_a_single_number() -> None:
     with pytest.raises(ValueError, match="not a single number"):
         convert.joint_state_from_values(DEFAULT_JOINTS[:1], 0, VALUES | {"axis1.position": [1.0, 2.0]})
 
 
 # ---- telemetry tables
-def test_columns_and_row_agree_and_arrays_are_spread() -> None:
+def test_columns_and_row_agree_and_arrays_are_expanded() -> None:
     variables = [CATALOGUE[name] for name in ("tick", "cmd.position", "u_dc")]
     assert convert.columns(variables) == ["tick", "cmd.position[0]", "cmd.position[1]", "u_dc"]
     assert convert.row(variables, {"u_dc": 24.0, "tick": 7, "cmd.position": [1.0, 2.0]}) == [7, 1.0, 2.0, 24.0]

@@ -29,7 +29,7 @@ def test_child_does_not_start_if_its_parent_has_died() -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_the_program_ignores_no_signal_for_it() -> None:
+def test_the_started_program_ignores_no_signal() -> None:
     lines = [["grep", "SigIgn", "/proc/self/status"], with_parent_death_signal(["grep", "SigIgn", "/proc/self/status"])]
     alone, bound = (subprocess.run(line, capture_output=True, text=True, timeout=20.0, check=True) for line in lines)
     assert bound.stdout == alone.stdout

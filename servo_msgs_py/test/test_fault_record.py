@@ -44,7 +44,7 @@ def test_sample_times_of_the_record(tick: int, periods: int) -> None:
     np.testing.assert_allclose(np.diff(time[:-1]), 0.5e-3)
 
 
-def test_incomplete_record() -> None:
+def test_incomplete_record_has_the_recorded_samples_only() -> None:
     it = FaultRecord.of(0, record(following=5, size=5), CATALOGUE)
     np.testing.assert_allclose(column(it, "speed") * 2**15 / 523.5987755982989, 400 + np.arange(5))
 
@@ -57,7 +57,7 @@ def test_phase_currents_are_those_of_the_vector() -> None:
     np.testing.assert_allclose(column(it, "i_b"), d * np.cos(theta - third) - q * np.sin(theta - third), atol=1e-12)
 
 
-def test_no_fault_and_no_record() -> None:
+def test_record_without_a_fault_is_empty() -> None:
     assert FaultRecord.of(1, record(code=0, size=0), CATALOGUE).summary() == "no fault"
     with pytest.raises(ValueError, match=r"axis2\.fault_record"):
         FaultRecord.of(1, b"short", CATALOGUE)

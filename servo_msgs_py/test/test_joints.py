@@ -33,7 +33,7 @@ def described(*joints: Joint) -> str:
     return describe(joints, CATALOGUE, commands_topic="/servo/joint_commands", states_topic="/servo/joint_states")
 
 
-def test_a_geared_reversed_joint_turns_slower_stronger_and_the_other_way() -> None:
+def test_a_geared_reversed_joint_has_less_speed_more_torque_and_the_opposite_sign() -> None:
     assert LIFT.position(100.0) == pytest.approx(0.3 - 2.0)
     assert LIFT.velocity(100.0) == pytest.approx(-2.0)
     assert LIFT.effort(0.1) == pytest.approx(-5.0)
@@ -62,11 +62,11 @@ def test_the_default_joint_is_the_shaft_bit_for_bit(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [((0.0, 1, 0.0), "gear_ratio of lift"), ((1.0, 2, 0.0), "direction of lift"), ((1.0, 1, math.nan), "offset of")],
 )
-def test_invalid_gears_are_refused(values: tuple[float, int, float], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_invalid_gears_are_refused(values: tuple[float, int, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         Joint("lift", *values)
 
 
@@ -78,9 +78,9 @@ def test_joints_are_restored_from_a_description(joint: Joint) -> None:
 def test_known_motors_are_restored_from_a_description() -> None:
     motors = [Motor(0.0462, 8.0e-6), Motor(0.0414, 1.2e-5)]
     joints = [Joint("pan"), LIFT]
-    told = describe(joints, CATALOGUE, commands_topic="/a", states_topic="/b", motors=motors)
-    assert motors_of(told) == motors
-    assert joints_of(told) == joints_of(described(*joints))
+    description = describe(joints, CATALOGUE, commands_topic="/a", states_topic="/b", motors=motors)
+    assert motors_of(description) == motors
+    assert joints_of(description) == joints_of(described(*joints))
     assert motors_of(described(*joints)) == []
 
 
@@ -95,8 +95,8 @@ def test_a_description_is_a_tree_with_the_limits_that_its_readers_require() -> N
         assert limit is not None
         assert {parent.get("link"), child.get("link")} <= links
         children.add(child.get("link"))
-        wanted = {"effort", "velocity"} | ({"lower", "upper"} if joint.get("type") == "revolute" else set())
-        assert set(limit.attrib) == wanted
+        required = {"effort", "velocity"} | ({"lower", "upper"} if joint.get("type") == "revolute" else set())
+        assert set(limit.attrib) == required
         assert all(math.isfinite(float(value)) for value in limit.attrib.values())
     assert len(links - children) == 1, "one root"
     assert [joint.get("type") for joint in robot.iterfind("joint")] == ["continuous", "revolute"]
@@ -116,7 +116,7 @@ def test_the_hardware_of_ros2_control_has_a_state_for_every_command() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("<robot", "is not XML"),
         ("<robot name='arm'/>", "0 transmissions"),
@@ -127,6 +127,6 @@ def test_the_hardware_of_ros2_control_has_a_state_for_every_command() -> None:
         (described(LIFT, Joint("pan")).replace("-50.0", "fifty"), "'fifty' as mechanical_reduction of lift"),
     ],
 )
-def test_another_description_is_refused_with_a_reason(text: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_another_description_is_refused_with_a_reason(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         joints_of(text)

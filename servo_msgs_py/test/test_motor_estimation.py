@@ -46,7 +46,7 @@ def _sweep(r: float, inductance: float, seed: int, *, noise: float = 0.008) -> R
 
 
 @pytest.mark.parametrize(("r", "inductance"), [(0.2, 0.1e-3), (0.6, 0.5e-3), (6.0, 3e-3)])
-def test_inductance_and_delay_from_a_swept_sine(r: float, inductance: float) -> None:
+def test_inductance_and_delay_are_estimated_from_a_swept_sine(r: float, inductance: float) -> None:
     found = impedance([_sweep(r, inductance, seed) for seed in range(3)], NAMES, r, (400.0, 2500.0))
     assert found.inductance.value == pytest.approx(inductance, rel=0.01)
     assert found.delay.value == pytest.approx(0.5 * PERIOD, abs=0.05 * PERIOD)
@@ -82,14 +82,14 @@ def test_resistance_is_separated_from_the_inverter_voltage_drop() -> None:
 
 
 @pytest.mark.parametrize("pairs", [1, 2, 7])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_pole_pairs_and_direction(pairs: int, way: float) -> None:
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_pole_pairs_and_direction_are_estimated(pairs: int, direction: float) -> None:
     theta = np.linspace(0.0, 9.0, 400)
     wrapped = np.angle(np.exp(1j * theta))
-    position = way * theta / pairs
+    position = direction * theta / pairs
     position[50:60] = np.nan
     found = follow_vector(position, wrapped)
-    assert (found.pole_pairs, found.direction) == (pairs, way)
+    assert (found.pole_pairs, found.direction) == (pairs, direction)
 
 
 @pytest.mark.parametrize("position", [np.zeros(400), np.linspace(0.0, 9.0 / 2.4, 400)])
@@ -98,7 +98,7 @@ def test_no_pole_pairs_from_a_shaft_that_does_not_follow(position: Floats) -> No
         follow_vector(position, np.angle(np.exp(1j * np.linspace(0.0, 9.0, 400))))
 
 
-def test_inertia_from_momentum() -> None:
+def test_inertia_is_estimated_from_the_momentum() -> None:
     step, inertia, coulomb, pairs, psi = 1e-3, 2e-5, 2e-3, 2, 0.015
     time = step * np.arange(600)
     speed = 50.0 * np.sin(2.0 * math.pi * 2.0 * time)
@@ -109,7 +109,7 @@ def test_inertia_from_momentum() -> None:
     assert dry.value == pytest.approx(coulomb, rel=0.05)
 
 
-def test_uncertainty_of_fits() -> None:
+def test_uncertainty_of_a_linear_fit_agrees_with_its_errors() -> None:
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 1.0, 50)
     inside = 0
@@ -147,7 +147,7 @@ def test_other_files_are_refused_as_log(tmp_path: Path) -> None:
         MeasurementLog.load(tmp_path / "other.npz")
 
 
-def test_stages_may_be_left_out_of_a_repetition() -> None:
+def test_stages_may_be_omitted_in_a_repetition() -> None:
     recording = Recording(1e-3, {"a": np.zeros(3)})
     record = Call("record", (["a"], 3, 1, True, None), (), "turn_slow", "turn")
     log = MeasurementLog(0, [record], [recording])
@@ -160,6 +160,6 @@ def test_invalid_limits_are_refused(values: dict[str, float]) -> None:
         Limits(**{"voltage": 24.0, "current": 4.0, **values})
 
 
-def test_interval_of_an_estimate() -> None:
+def test_interval_of_an_estimate_has_95_percent() -> None:
     assert Estimate(2.0, 0.5).interval == pytest.approx((1.02, 2.98))
     assert Estimate(0.0, 0.5).part == math.inf

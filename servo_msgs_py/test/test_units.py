@@ -29,19 +29,19 @@ def test_full_scale_itself_becomes_the_largest_number() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_no_number_is_refused(value: float) -> None:
+def test_infinite_values_and_nan_are_refused(value: float) -> None:
     with pytest.raises(ValueError, match="finite"):
         units.to_raw(value, 1.0, -10, 10)
 
 
 @pytest.mark.parametrize("value", [12.0, -12.0, 1e300])
-def test_out_of_range_is_refused_and_not_clipped(value: float) -> None:
+def test_values_out_of_range_are_refused_and_not_clipped(value: float) -> None:
     with pytest.raises(ValueError, match="outside"):
         units.to_raw(value, 1.0, -10, 10)
 
 
 @given(st.integers(-32768, 32767), st.floats(1e-3, 1e6))
-def test_raw_to_si_and_back(raw: int, full_scale: float) -> None:
+def test_conversion_of_raw_to_si_is_reversible(raw: int, full_scale: float) -> None:
     lsb = units.frac_lsb(full_scale, 16)
     assert units.to_raw(raw * lsb, lsb, -32768, 32767) == raw
 
@@ -53,7 +53,7 @@ def test_rounding_is_to_the_nearest(value: float) -> None:
     assert abs(raw * lsb - value) <= lsb / 2
 
 
-def test_rpm_counts_turns_per_minute() -> None:
+def test_rpm_is_revolutions_per_minute() -> None:
     assert units.rpm(2.0 * math.pi) == pytest.approx(60.0)
 
 

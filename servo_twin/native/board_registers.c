@@ -362,10 +362,10 @@ bool board_run_to_tick(board_t *board, uint64_t until_ns)
 
 size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
 {
-    board->chip.core.bus.trace = (trace_t){.entry = log, .size = 0, .left = room};
+    board->chip.core.bus.trace = (trace_t){.entry = log, .size = 0, .remaining = room};
     board_advance(board, until_ns);
     const size_t size = board->chip.core.bus.trace.size;
-    board->chip.core.bus.trace = (trace_t){.entry = NULL, .size = 0, .left = 0};
+    board->chip.core.bus.trace = (trace_t){.entry = NULL, .size = 0, .remaining = 0};
     return size;
 }
 

@@ -9,11 +9,14 @@ of a real compiler. The time of the virtual core therefore depends on the source
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -421,12 +424,38 @@ def preprocessed(source: Path, include: Iterable[Path], options: Iterable[str] =
     return done.stdout
 
 
+_PARALLEL_MIN: Final = 10
+"""Smallest number of files for parallel processes; a file takes 0.1 s."""
+
+
 def _spend(factor: float) -> Callable[[float], str]:
     return lambda price: f"core_spend({round(UNITS * factor * price)})"
 
 
+@dataclass(frozen=True)
+class _Stale:
+    """A file that must be instrumented again."""
+
+    source: Path  # the file
+    output: Path  # instrumented file
+    head: str  # first line of the instrumented file
+    text: str  # preprocessed file
+    factor: float  # weight of the file
+
+    def write(self) -> None:
+        """Instrument the file and replace the old output."""
+        body = charged(self.text, str(self.source), _spend(self.factor))
+        self.output.parent.mkdir(parents=True, exist_ok=True)
+        # Flag 3 (system header) disables warnings in the generated code.
+        complete = self.output.with_suffix(f".{os.getpid()}")  # another process may be writing the same
+        complete.write_text(
+            f'{self.head}\n#include "chip/core_time.h"\n# 1 "{self.source}" 3\n{body}', encoding="utf-8"
+        )
+        complete.replace(self.output)
+
+
 def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str], folder: Path) -> list[Path]:
-    """Write instrumented files of the firmware; unchanged files are not rewritten.
+    """Write instrumented files of the firmware, one process per processor; unchanged files are not rewritten.
 
     Parameters
     ----------
@@ -446,6 +475,7 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
     """
     weights = load_weights()
     written: list[Path] = []
+    stale: list[_Stale] = []
     for source in sources:
         name = f"{source.parent.name}/{source.stem}"
         factor = weight_of(weights, name)
@@ -453,12 +483,13 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
         head = f"/* {hashlib.sha256(f'{_VERSION}{factor}{text}'.encode()).hexdigest()} */"
         output = folder / f"{name}.c"
         written.append(output)
-        if output.is_file() and output.open(encoding="utf-8").readline().rstrip() == head:
-            continue
-        body = charged(text, str(source), _spend(factor))
-        output.parent.mkdir(parents=True, exist_ok=True)
-        # Flag 3 (system header) disables warnings in the generated code.
-        complete = output.with_suffix(f".{os.getpid()}")  # another process may be writing the same
-        complete.write_text(f'{head}\n#include "chip/core_time.h"\n# 1 "{source}" 3\n{body}', encoding="utf-8")
-        complete.replace(output)
+        if not output.is_file() or output.open(encoding="utf-8").readline().rstrip() != head:
+            stale.append(_Stale(source, output, head, text, factor))
+    if len(stale) < _PARALLEL_MIN:
+        for one in stale:
+            one.write()
+    else:
+        # A forked process does not import setup.py again.
+        with ProcessPoolExecutor(mp_context=multiprocessing.get_context("fork")) as pool:
+            list(pool.map(_Stale.write, stale))
     return written

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple
 
@@ -76,8 +77,7 @@ TRACE_ENTRY: Final = np.dtype([("clock", "<u8"), ("kind", "<u2"), ("a", "<u2"), 
 """Layout of an entry of a trace (``trace_entry_t`` in chip/trace.h, with the list of kinds)."""
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(NamedTuple):
     """True state of the plant.
 
     Instantaneous values, except where noted: at level ``registers`` at `Board.time_ns` (steps of 10 ns), at level
@@ -110,6 +110,9 @@ class Truth:
     psi_m: float  # magnet's flux linkage at these temperatures [V s]
     l_d: float  # inductance for small changes of `i_d` [H]
     l_q: float  # inductance for small changes of `i_q` [H]
+
+
+_truth_values: Final = attrgetter(*Truth._fields)
 
 
 @dataclass(frozen=True)
@@ -499,7 +502,7 @@ class Board:
         """True state of the plant of an axis (index 0 or 1)."""
         truth = self._ffi.new("board_truth_t *")
         self._lib.board_truth(self._board, _axis_index(axis), truth)
-        return Truth(**{name: getattr(truth, name) for name in Truth.__dataclass_fields__})
+        return Truth._make(_truth_values(truth))
 
     def stats(self) -> BoardStats:
         """Counters of the chip."""

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.figure import new_figure, write_figure
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -119,17 +120,12 @@ def _print_moves(results: Sequence[MoveResult]) -> None:
 
 
 def _plot(board: Board, log: object, names: Sequence[str], path: Path) -> None:
-    try:
-        import matplotlib
-    except ImportError:
-        raise SimulationError("--plot needs matplotlib: pip install 'servo_twin[viewer]'") from None
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
     import numpy as np
 
     rows = np.asarray(log)
     values, times = board.si(rows), time_axis(rows)
-    figure, plots = plt.subplots(3, len(names), sharex=True, squeeze=False, figsize=(6.5 * len(names), 8), dpi=120)
+    figure = new_figure(6.5 * len(names), 8.0, 120)
+    plots = figure.subplots(3, len(names), sharex=True, squeeze=False)
     for column, name in enumerate(names):
         for plot, quantity, unit in zip(
             plots[:, column], ("position", "speed", "i_q"), ("rad", "rad/s", "A"), strict=True
@@ -141,9 +137,7 @@ def _plot(board: Board, log: object, names: Sequence[str], path: Path) -> None:
         plots[0, column].set_title(name)
         plots[0, column].legend()
         plots[-1, column].set_xlabel("time since reset [s]")
-    figure.tight_layout()
-    figure.savefig(path)
-    plt.close(figure)
+    write_figure(figure, path)
 
 
 def _bench(args: argparse.Namespace) -> int:

@@ -133,6 +133,7 @@ class ServoTwin(Node):
             threading.Lock()
         )  # for the members that callbacks and worker thread share: monitor, joints, last published values
         self._joints: list[Joint] = []  # from robot_description; empty until received
+        self._configured = False  # the bridge has published the configuration of the board since the connection
         self._variables: dict[str, Any] = {}
         self._board_error = ""
         self._fault = ""  # fault of the board
@@ -258,8 +259,11 @@ class ServoTwin(Node):
         self._worker.burst(message.layout.dim[0].label, columns, table)
 
     def _on_tuning(self, message: String) -> None:
+        with self._lock:
+            self._configured = True
+        self._publish_changes()
         if not message.data:
-            return  # the bridge could not read the configuration
+            return  # the bridge could not read the configuration; that of the firmware is assumed
         try:
             blocks = blocks_of_file(message.data, self._catalogue)
         except ConfigError as error:
@@ -289,6 +293,7 @@ class ServoTwin(Node):
             lost = message.data.startswith("DISCONNECTED")
             self._board_error = "the board is not connected" if lost else ""
             if lost:
+                self._configured = False
                 self._monitor.interrupt(self._board_error)
         self._publish_changes()
 
@@ -324,6 +329,8 @@ class ServoTwin(Node):
 
     def _diagnose(self, pair: Pair) -> None:
         with self._lock:
+            if self._unknown():
+                return
             changed = self._diagnosis.update(pair)
             if not (changed or self._diagnosis.missing != self._missing):
                 return
@@ -378,9 +385,9 @@ class ServoTwin(Node):
             self._fault = pair.fault
             if pair.fault or pair.difference:
                 self._monitor.interrupt(self._board_error or pair.fault or f"synchronising: {pair.difference}")
-            elif not self._joints:
-                self._monitor.interrupt(self._board_error or self._no_joints_text())
-            if pair.difference or not self._joints:
+            elif unknown := self._unknown():
+                self._monitor.interrupt(self._board_error or unknown)
+            if pair.difference or self._unknown():
                 return None
             result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants, self._joints)
             if not (self._board_error or pair.fault):
@@ -435,8 +442,8 @@ class ServoTwin(Node):
             labels = self._twin.labels()
             if self._twin.status or not labels:
                 text = f"SYNCHRONISING {self._twin.status}"
-            elif not self._joints:
-                text = f"SYNCHRONISING {self._no_joints_text()}"
+            elif unknown := self._unknown():
+                text = f"SYNCHRONISING {unknown}"
             else:
                 names = joint_names(self._joints)
                 text = " ".join(f"{joint}={label}" for joint, label in zip(names, labels, strict=True))
@@ -511,8 +518,14 @@ class ServoTwin(Node):
         ]
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
 
-    def _no_joints_text(self) -> str:
-        return f"joints unknown: no message on {self._board_namespace}/{topics.ROBOT_DESCRIPTION}"
+    def _unknown(self) -> str:
+        """Missing data of the bridge, without which twin and board are not compared; empty: none."""
+        missing = {"joints": topics.ROBOT_DESCRIPTION} if not self._joints else {}
+        if not self._configured:
+            missing["configuration"] = topics.TUNING
+        return "; ".join(
+            f"{what} unknown: no message on {self._board_namespace}/{name}" for what, name in missing.items()
+        )
 
     def _reason(self) -> str:
         """Reason why the twin is not healthy, with a possible cause."""

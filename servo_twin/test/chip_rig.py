@@ -185,7 +185,7 @@ class ChipRig:
         self.codes: list[int | Callable[[int], int]] = [100 * k for k in range(16)]
         self.handlers: dict[int, Callable[[], int | None]] = {}  # by vector; each returns its duration [clocks]
         self.edges: list[tuple[int, str, bool]] = []  # future levels at pins: clock, pin, level; sorted by clock
-        self.defers_edges = False  # edges of one timer module are delivered on request, as far as the chip defers them
+        self.defers_edges = False  # edges of a timer module are delivered on request, if the chip can defer them
         self.edges_deferred = 0  # number of deferred edges
         self.gates: list[tuple[int, int, int, int]] = []
         self.background: Callable[[], None] = lambda: None
@@ -321,7 +321,7 @@ class ChipRig:
 
     def clear(self) -> None:
         """Clear the recorded events."""
-        self.chip.core.bus.trace = {"entry": self._trace, "size": 0, "left": 200_000}
+        self.chip.core.bus.trace = {"entry": self._trace, "size": 0, "remaining": 200_000}
         self.gates.clear()
 
     def events(self, *kinds: str) -> list[Event]:

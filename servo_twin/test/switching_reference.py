@@ -20,7 +20,7 @@ CLOCK = 1e-8
 OPEN, HIGH, LOW = 0, 1, 2
 
 STATES = 6  # of an axis
-BUS = 2 * STATES  # index of the bus' voltage, behind those of both axes
+BUS = 2 * STATES  # index of the bus voltage, after the states of both axes
 
 Edge = tuple[int, int, int, int]
 """Clock, axis, phase, gates."""
@@ -43,16 +43,16 @@ class Machine:
     """One axis: state and conduction pattern."""
 
     plant: AxisPlant
-    i_d: float = 0.0
-    i_q: float = 0.0
-    omega: float = 0.0
-    theta: float = 0.0
+    i_d: float = 0.0  # [A]
+    i_q: float = 0.0  # [A]
+    omega: float = 0.0  # speed of the rotor [rad/s]
+    theta: float = 0.0  # angle of the rotor [rad]
     gates: list[int] = field(default_factory=lambda: [OPEN] * 3)
     sign: list[int] = field(default_factory=lambda: [0] * 3)
     moving: int = 0
-    load: float = 0.0
-    omega_load: float = 0.0
-    theta_load: float = math.nan
+    load: float = 0.0  # external torque against positive motion [N m]
+    omega_load: float = 0.0  # speed of the load [rad/s]
+    theta_load: float = math.nan  # angle of the load [rad]; default: `theta`
 
     def __post_init__(self) -> None:
         self.theta_load = self.theta if math.isnan(self.theta_load) else self.theta_load
@@ -166,7 +166,7 @@ class Machine:
                 self.sign = sign
                 break
             else:
-                raise AssertionError(f"no way to conduct: {self}")
+                raise AssertionError(f"no conduction pattern found: {self}")
         if abs(self.omega) > 1e-9:
             self.moving = 1 if self.omega > 0 else -1
         else:

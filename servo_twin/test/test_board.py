@@ -1,4 +1,4 @@
-"""One board with the real firmware: time, variables, snapshots, serial line, and a plant that answers."""
+"""One board with the real firmware: time, variables, snapshots, serial line and plant."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def board() -> Iterator[Board]:
 
 
 def enable(board: Board) -> None:
-    """Both axes searched, aligned and under control; set-points stand until the next one."""
+    """Enable both axes and wait for the end of the rotor search; set-points do not expire."""
     keep_set_points(board)
     board.run(0.05)
     board.write("cmd.enable", [1, 1])
@@ -45,7 +45,7 @@ def enable(board: Board) -> None:
 
 
 def session(board: Board) -> NDArray[np.void]:
-    """Everything that makes a board do something."""
+    """Rows of a session with commands, a load and a request on the serial line."""
     enable(board)
     board.write("cmd.position", [3.0, -2.0])
     board.set_load(0, 0.02)
@@ -178,7 +178,7 @@ class TestSerialLine:
             board.advance(next_ns)
             answer += board.serial_out()
         assert answer[:2] == bytes.fromhex("2B 40")  # success, a length byte follows
-        # no pause between request and answer, but for interrupts, the server, and a rate of whole clocks
+        # no pause before the answer, except for interrupts, the server, and the rounding of the baud rate to clocks
         busy = 40_000 if board.level == "registers" else 5_000
         assert board.time_ns == pytest.approx(10 * MS + (5 + len(answer)) * byte_ns, abs=busy)
         assert board.stats().serial_overruns == 0
@@ -192,7 +192,7 @@ class TestPlant:
         assert (truth.theta_m, truth.omega_m, truth.i_q, truth.u_dc) == (start, 0.0, 0.0, 24.0)
         assert board.stats().watchdog_services == 40
 
-    def test_moves_to_its_set_point(self, board: Board) -> None:
+    def test_position_set_point_is_reached(self, board: Board) -> None:
         enable(board)
         offsets = [board.truth(k).theta_m - float(board.read_raw(f"axis{k + 1}.position")[0]) * math.tau / 4000
                    for k in (0, 1)]  # fmt: skip
@@ -228,11 +228,14 @@ class TestPlant:
         bound = math.sqrt(before**2 + 2 * kinetic / board.plant.bus.capacitance)
         assert 25.0 < highest < bound
 
-    def test_an_obstructed_shaft_turns_from_stop_to_stop(self, board: Board) -> None:
+    def test_an_obstructed_shaft_rotates_from_stop_to_stop(self, board: Board) -> None:
         board.run(0.01)
         start = board.truth(0).theta_m
         board.obstruct_shaft(0, 0.01, 0.02)
-        for load, stop in ((-0.01, 0.02), (0.01, -0.01)):  # drives the idle shaft
+        for load, stop in (
+            (-0.01, 0.02),
+            (0.01, -0.01),
+        ):  # negative load: it accelerates the shaft, the outputs are off
             board.set_load(0, load)
             board.run(0.1)
             truth = board.truth(0)
@@ -279,7 +282,7 @@ class TestLife:
             board.run(0.1)
 
     @pytest.mark.parametrize("axis", [-1, 2])
-    def test_there_are_two_axes(self, board: Board, axis: int) -> None:
+    def test_axis_numbers_other_than_two_axes_are_refused(self, board: Board, axis: int) -> None:
         with pytest.raises(IndexError, match=r"0 \.\. 1"):
             board.truth(axis)
 
@@ -290,7 +293,7 @@ class TestLife:
 
 
 class TestBuildScript:
-    def test_takes_the_declarations_without_their_comments(self) -> None:
+    def test_declarations_are_read_without_their_comments(self) -> None:
         text = "int a;\n/* CFFI-BEGIN: here */\nint b; /* why\n more */\n/* CFFI-END */\nint c;\n"
         assert _build_native.declarations(text).split() == ["int", "b;"]
         with pytest.raises(ValueError, match="CFFI-BEGIN"):
@@ -300,6 +303,6 @@ class TestBuildScript:
         with pytest.raises(FileNotFoundError, match="checkout of the whole repository"):
             _build_native.firmware_sources(tmp_path_factory.mktemp("alone") / "firmware")
 
-    def test_finds_every_module_of_the_firmware(self) -> None:
+    def test_every_module_of_the_firmware_is_found(self) -> None:
         folders = {path.parent.name for path in _build_native.firmware_sources()}
         assert folders == set(_build_native.FIRMWARE_FOLDERS)

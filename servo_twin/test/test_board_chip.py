@@ -1,4 +1,4 @@
-"""The ideal chip: who is called when, what a duty does and when, over-current, serial line."""
+"""The ideal chip: order of the calls, effect and time of a duty, over-current, serial line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ M1, M2, EDGE, BREAK, BACKGROUND = range(5)
 
 
 class Chip:
-    """An ideal chip with the firmware that only writes down its calls."""
+    """An ideal chip with a firmware that only records its calls."""
 
     def __init__(self, native: Native, plant: PlantConfig, baud: float = 115200.0) -> None:
         self.lib, self.ffi = native.lib, native.ffi
@@ -107,7 +107,7 @@ def test_a_duty_holds_for_a_whole_period(make: Callable[..., Chip], axis: int) -
 
 
 def test_each_axis_is_sampled_at_its_low_side_centre(make: Callable[..., Chip]) -> None:
-    """Currents in its own interrupt, its offsets in the other one's, half a period away."""
+    """Currents in the axis' own interrupt, offsets in the interrupt of the other axis, half a period later."""
     plant = ideal_plant().with_axis(0, i_offset=(0.4, 0.4, 0.4)).with_axis(1, i_offset=(-0.4, -0.4, -0.4))
     chip = make(plant)
     for axis in (0, 1):
@@ -148,7 +148,7 @@ class TestOverCurrent:
         current = max(map(abs, chip.motor(0).phase))
         assert 5.0 < current < 5.0 + 16.0 / 0.403e-3 * HALF_NS * 1e-9
         assert [(c.axis, c.time_ns) for c in chip.calls(BREAK)] == [(0, chip.hal.now_ns)]
-        chip.run(chip.hal.now_ns + 5 * PERIOD_NS)  # the firmware goes on asking for current
+        chip.run(chip.hal.now_ns + 5 * PERIOD_NS)  # the firmware continues to request current
         assert list(chip.motor(0).phase) == [0.0, 0.0, 0.0]
         assert chip.lib.hal_over_current_active(chip.hal, 0)
         assert not chip.lib.hal_over_current_active(chip.hal, 1)
@@ -218,7 +218,7 @@ class TestSerialLine:
             arrivals.append(self.fetch(chip))
             chip.run(7_777 + n * self.BYTE_NS)
             arrivals.append(self.fetch(chip))
-        # a byte goes back as soon as it is there: one byte time later, at full speed
+        # each byte is returned when it has been received: one byte time later, at full rate
         assert arrivals == [b"", b"", b"", b"a", b"", b"b", b"", b"c", b"", b""]
         assert chip.lib.uart_next_ns(chip.ffi.addressof(chip.hal.uart)) == 2**64 - 1
 
@@ -270,7 +270,7 @@ class TestSerialLine:
 
 
 def test_run_does_not_depend_on_its_time_steps(make: Callable[..., Chip]) -> None:
-    """Running in one go or in odd pieces is the same run."""
+    """A run in one call and a run in many unequal calls give the same result."""
 
     def result(pieces: list[int]) -> list[Any]:
         chip = make(PlantConfig.load())

@@ -1,4 +1,4 @@
-"""The two levels of a board: how one is chosen, what both have in common, what only the registers have."""
+"""The two levels of a board: selection, equal results, and properties of level registers."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TestChoice:
 
 
 def test_both_levels_do_the_same_move() -> None:
-    """The largest current is that of one noisy sample: compared is its mean over some boards."""
+    """The largest current is one noisy sample, so its mean over three boards is compared."""
     currents: dict[Level, list[list[float]]] = {level: [] for level in LEVELS}
     for seed in (1, 2, 3):
         reached = {}
@@ -76,7 +76,7 @@ def test_both_levels_do_the_same_move() -> None:
 
 
 def test_both_levels_heat_the_power_stages_alike() -> None:
-    """By reversals, whose currents go from the limit to what friction needs."""
+    """Heated by reversals: the current changes between its limit and the friction current."""
     heat = []
     for level in LEVELS:
         plant = PlantConfig.load()
@@ -96,7 +96,7 @@ def test_both_levels_heat_the_power_stages_alike() -> None:
 
 
 def test_both_levels_heat_the_windings_alike() -> None:
-    """By 2 A, with the resistance of warm copper."""
+    """Heated by 2 A, with the resistance of warm copper."""
     ends = []
     for level in LEVELS:
         plant = PlantConfig.load()
@@ -152,7 +152,7 @@ def test_run_does_not_depend_on_its_pieces() -> None:
 
 
 def test_run_suspended_in_a_handler_continues_in_another_thread() -> None:
-    """Each piece in a thread of its own, while another board runs in this one."""
+    """Each part runs in its own thread, while another board runs in this one."""
     with Board(level="registers", seed=2) as plain, Board(level="registers", seed=2) as moved:
         plain.advance(20_000_000)
         for until in range(10_000, 20_000_001, 70_000):
@@ -169,7 +169,7 @@ class TestTrace:
             log = board.trace(5_000_000)
             assert log.dtype == TRACE_ENTRY
             first = log[0]
-            assert (first["kind"], hex(first["a"])) == (WRITE, "0xe320")  # the watchdog, before all else
+            assert (first["kind"], hex(first["a"])) == (WRITE, "0xe320")  # the watchdog is written first
             assert first["clock"] < 300
             assert len(handlers(log, START)) == 1
             assert np.all(np.diff(log["clock"].astype(np.int64)) >= 0)
@@ -194,7 +194,7 @@ def spinning(core: CoreSpeed) -> Board:
 
 class TestCore:
     def test_handlers_last_as_long_as_their_instructions(self) -> None:
-        """The fast loop alone: so many instructions and the entry, whatever a cycle costs."""
+        """The shortest run of the fast loop takes a fixed number of instructions, plus the entry."""
         shortest = {}
         for cycles, entry in ((1.0, 30), (2.0, 30), (2.0, 50)):
             with spinning(CoreSpeed(cycles, entry)) as board:
@@ -214,7 +214,7 @@ class TestCore:
             assert writes[0] >= 30
 
     def test_slow_core_causes_late_loops(self) -> None:
-        """The counter tells, and the fault keeps the switches open."""
+        """Late loops are counted, and the fault LATE_LOOP keeps the switches open."""
         for cycles in (2.0, 7.0):
             with Board(level="registers", core=CoreSpeed(cycles, 30)) as board:
                 board.run(0.02)
@@ -223,8 +223,8 @@ class TestCore:
 
     @pytest.mark.parametrize("level", LEVELS)
     @pytest.mark.parametrize("stall_us", [60, 80, 300, 990])
-    def test_each_loop_that_a_stall_leaves_out_is_counted_once(self, level: Level, stall_us: int) -> None:
-        """At level registers up to two more loops are left out until the sequence begins anew."""
+    def test_each_loop_omitted_by_a_core_stall_is_counted_once(self, level: Level, stall_us: int) -> None:
+        """At level registers up to two more loops are omitted until the sequence restarts."""
         begin = int(stall_us // HALF_PERIOD_US)
         for k in range(12):
             with Board(level=level) as board:
@@ -262,7 +262,7 @@ class TestErrors:
 
 
 def test_watchdog_restarts_the_firmware() -> None:
-    """M1 comes no more, so the watchdog is not served: reset, and the sequence runs again."""
+    """Without interrupt M1 the watchdog is not serviced: the chip is reset, and the sequence runs again."""
     with Board(level="registers") as board:
         board.run(0.02)
         (ticks,) = board.read_raw("tick")
@@ -279,11 +279,11 @@ def test_watchdog_restarts_the_firmware() -> None:
 
 @pytest.mark.parametrize("seed", range(1, 7))
 def test_no_encoder_edge_is_lost(seed: int) -> None:
-    """A shaft that trembles about an edge while its rotor is searched, rests on it, and then leaves fast."""
+    """The shaft oscillates about an edge during the rotor search, rests on it, and then accelerates."""
     with Board(level="registers", seed=seed) as board:
         enable(board)
         begin = [(board.truth(axis).theta_m, board.read_raw(f"axis{axis + 1}.position")[0]) for axis in (0, 1)]
         move(board, {0: 3000, 1: -2000}, 0.5)
         for axis, (angle, position) in enumerate(begin):
-            turned = (board.truth(axis).theta_m - angle) * 4000 / (2 * np.pi)
-            assert board.read_raw(f"axis{axis + 1}.position")[0] - position == pytest.approx(turned, abs=2.5)
+            rotation = (board.truth(axis).theta_m - angle) * 4000 / (2 * np.pi)
+            assert board.read_raw(f"axis{axis + 1}.position")[0] - position == pytest.approx(rotation, abs=2.5)

@@ -1,4 +1,4 @@
-"""Safety of motion, tried on the plant: what must never move, run away, or be switched on at the wrong moment."""
+"""Safety of motion on the virtual board: no unintended motion, no runaway, no enable at the wrong time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_record_ends_at_the_fault_and_not_at_the_end_of_its_ramp(board: Board) -
     spin(board, 200.0)
     board.write("param.acceleration_limit", [1000.0, 1000.0])
     board.write("param.host_timeout", 0.4)
-    board.serial_in(bytes.fromhex("2B 30 01 04 E8"))  # a host that commands once: SENDAPPCMD KEEP_ALIVE ..
+    board.serial_in(bytes.fromhex("2B 30 01 04 E8"))  # a host that sends one command: SENDAPPCMD KEEP_ALIVE ..
     board.run(0.01)
     board.serial_in(bytes.fromhex("2B 31 00 EC"))  # .. GETAPPCMDSTS
     board.run(0.35)
@@ -44,7 +44,7 @@ def test_record_ends_at_the_fault_and_not_at_the_end_of_its_ramp(board: Board) -
     while not faults(board, 0):
         board.run(0.0005)
     captured = board.read_raw("tick")[0]
-    assert board.read_raw("axis1.state")[0] == RUN, "the ramp only begins"
+    assert board.read_raw("axis1.state")[0] == RUN, "the ramp has just begun"
     while board.read_raw("axis1.state")[0] != FAULT:
         board.run(0.001)
     assert board.read_raw("tick")[0] - captured > 0.15 * 16000
@@ -80,8 +80,8 @@ def test_enable_waits_for_a_coasting_shaft(board: Board) -> None:
 @pytest.mark.parametrize(
     ("gap", "fault", "within"),
     [
-        (0.004, "ANGLE_MISMATCH", 0.015),  # the angle is off by 92 degrees then; a filter of 2 ms, five slow ticks
-        (0.007, "ENCODER_LOST", 0.007),  # 2 ms without a count, then 4 ms of voltage that turns, and a slow tick
+        (0.004, "ANGLE_MISMATCH", 0.015),  # angle error of 92 degrees; filter of 2 ms and five slow ticks
+        (0.007, "ENCODER_LOST", 0.007),  # 2 ms without a count, 4 ms of rotating voltage, one slow tick
         (0.010, "ENCODER_LOST", 0.007),
         (0.016, "ENCODER_LOST", 0.007),
         (0.050, "ENCODER_LOST", 0.007),
@@ -103,7 +103,7 @@ def test_slipped_encoder_causes_a_fault_and_no_runaway(
     board.run(0.1)
     assert board.read_raw("axis1.state") == [FAULT]
     assert faults(board, 0) == {fault}
-    assert board.read_raw("axis2.state") == [RUN]  # the other axis goes on
+    assert board.read_raw("axis2.state") == [RUN]  # the other axis continues
 
 
 def test_dead_encoder_causes_a_fault(board: Board) -> None:
@@ -149,7 +149,7 @@ def test_lower_current_limit_slows_moves_without_overshoot(board: Board, i_q: fl
     board.write("param.i_q_limit", [i_q, i_q])
     board.run(0.01)
     results, log = move(board, {0: 20000, 1: -20000}, 4.0)
-    maximum = 2 if board.level == "ideal" else 5  # of 32 boards with 0.3 A one came 4 counts off
+    maximum = 2 if board.level == "ideal" else 5  # with 0.3 A one of 32 boards stopped 4 counts off
     for result in results:
         assert result.overshoot <= maximum
         assert result.steady_state <= maximum
@@ -168,7 +168,7 @@ def test_full_reversals_at_the_current_limit_are_no_runaway(board: Board) -> Non
 def test_enable_of_a_turning_shaft_does_not_take_effect_later() -> None:
     with Board(seed=3) as board:
         board.run(0.03)
-        board.set_load(0, -0.0025)  # more than the friction: something turns the shaft for ever
+        board.set_load(0, -0.0025)  # more than the friction: an external torque keeps the shaft rotating
         board.run(0.5)
         board.write("cmd.enable", [1, 0])
         board.run(1.0)
@@ -181,7 +181,7 @@ def test_enable_of_a_turning_shaft_does_not_take_effect_later() -> None:
 
 
 def test_rotor_search_fails_with_a_blocked_shaft() -> None:
-    """Held after the first twitch: nothing moves any more, at whatever angle the rotor is."""
+    """The shaft is blocked after its first movement, at different rotor angles."""
     for delay in (0.105, 0.11, 0.12, 0.13):
         with Board(seed=int(delay * 1e4)) as board:
             board.run(0.03)
@@ -200,12 +200,12 @@ def test_rotor_search_fails_with_a_blocked_shaft() -> None:
 
 
 BACK_MAX = 16
-"""What is left of the speed at the end of a ramp [counts]; 12 at most of sixty boards."""
+"""Reverse motion permitted after the end of a ramp [counts]; at most 12 on sixty boards."""
 
 
 @pytest.mark.parametrize(("i_q", "acceleration"), [(4.0, 4000.0), (0.5, 4000.0), (0.2, 4000.0), (4.0, 50000.0)])
 def test_stop_does_not_reverse_the_shaft(board: Board, i_q: float, acceleration: float) -> None:
-    """With little current, or a steep ramp, the shaft is still fast when the ramp has ended."""
+    """With a low current limit or a steep ramp the shaft still rotates fast at the end of the ramp."""
     spin(board, 300.0)
     board.write("param.i_q_limit", [i_q, i_q])
     board.write("param.acceleration_limit", [acceleration, acceleration])

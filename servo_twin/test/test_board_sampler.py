@@ -1,4 +1,4 @@
-"""Samples without end of a virtual board, on both levels."""
+"""Continuous sampling of a virtual board, at both levels."""
 
 from __future__ import annotations
 

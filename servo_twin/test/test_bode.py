@@ -1,4 +1,4 @@
-"""Loops of a virtual board, measured on the running axis in simulated time, against what the tuning code predicts."""
+"""Loops measured on a running virtual board in simulated time, against the prediction of the tuning code."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any, Final
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.figure import PictureError
 from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
 from servo_msgs_py.measurement.bode import Bode, measure
 from servo_msgs_py.measurement.bode_plan import LOOPS, BodeRequest
@@ -26,10 +27,10 @@ from servo_twin.simulation import enable
 CONFIG: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
 
 GAIN: Final = 0.02
-"""Distance of the crossover from its prediction; 0.05 is aimed at."""
+"""Permitted relative deviation of the crossover from its prediction; the aim is 0.05."""
 
 PHASE: Final = 1.5
-"""Of the phase margin [degrees]; 3 is aimed at."""
+"""Permitted deviation of the phase margin [degrees]; the aim is 3."""
 
 
 @pytest.fixture(params=["ideal", "registers"])
@@ -46,7 +47,7 @@ def access() -> Iterator[VirtualBoardAccess]:
 
 
 def refuse_difference(bode: Bode) -> None:
-    """Fails when prediction and measurement differ."""
+    """Fail if prediction and measurement differ."""
     found, expected = bode.figures, bode.prediction.margins
     assert found.crossover is not None
     assert found.phase_margin is not None
@@ -57,8 +58,8 @@ def refuse_difference(bode: Bode) -> None:
         assert found.gain_margin.value == pytest.approx(expected.gain, rel=0.06)
 
 
-def kept(access: VirtualBoardAccess) -> tuple[object, ...]:
-    """What a measurement leaves as it was."""
+def restored_values(access: VirtualBoardAccess) -> tuple[object, ...]:
+    """Values that a measurement has to restore."""
     names = ("param.command_timeout", "param.i_q_limit", "param.speed_limit", "cmd.enable", "axis1.mode", "axis2.mode")
     return tuple(tuple(access.read(name)) for name in names)
 
@@ -69,11 +70,11 @@ def test_measured_loop_agrees_with_the_prediction(loop: str, axis: int, level: L
     with Board(level=level, seed=3) as board:
         board.run(0.1)
         access = VirtualBoardAccess(board)
-        before = kept(access)
+        before = restored_values(access)
         bode = measure(access, BodeRequest(axis, loop), enable=True)
         refuse_difference(bode)
         assert bode.notes == ()
-        assert kept(access) == before
+        assert restored_values(access) == before
         assert access.read(f"axis{axis + 1}.faults") == [0.0]
         assert access.read(f"axis{axis + 1}.test_point") == [0.0]
         assert access.read("late_loops") == [0.0]
@@ -104,11 +105,11 @@ def test_mode_of_an_enabled_axis_is_restored_at_rest() -> None:
         board.write("param.command_timeout", 0.25)
         access.write("cmd.mode", [access.catalogue.enums["control_mode_t"]["SPEED"]], 0)
         access.wait(0.2)
-        before = kept(access)
+        before = restored_values(access)
         place = access.read("axis2.position")
         refuse_difference(measure(access, BodeRequest(0, "speed", speed=60.0, repeats=3)))
         access.wait(0.2)
-        assert kept(access) == before
+        assert restored_values(access) == before
         assert abs(access.read("axis1.speed")[0]) < 1.0
         assert access.read("axis2.position") == pytest.approx(place, abs=0.01)
 
@@ -117,7 +118,7 @@ def test_interruption_stops_the_shaft() -> None:
     with Board(level="ideal", seed=3) as board:
         enable(board)
         access = VirtualBoardAccess(board)
-        before = kept(access)
+        before = restored_values(access)
 
         def progress(_: str, done: int, __: int) -> None:
             if done:
@@ -129,7 +130,7 @@ def test_interruption_stops_the_shaft() -> None:
         with pytest.raises(KeyboardInterrupt):
             measure(access, BodeRequest(0, "position"), progress=progress)
         assert abs(access.read("axis1.speed")[0]) < 1.0
-        assert kept(access) == before
+        assert restored_values(access) == before
 
 
 def mode_of(access: VirtualBoardAccess, axis: int) -> str:
@@ -141,7 +142,7 @@ def set_mode(access: VirtualBoardAccess, axis: int, mode: str) -> None:
 
 
 def test_load_on_an_axis_in_torque_mode_is_held(access: VirtualBoardAccess) -> None:
-    """Its set-point has expired: it holds its position, and would begin anew with no current."""
+    """Its set-point has expired: it holds its position; the old mode would start without current and drop the load."""
     enable(access.board)
     access.write("param.command_timeout", [0.5])
     set_mode(access, 0, "TORQUE")
@@ -149,17 +150,17 @@ def test_load_on_an_axis_in_torque_mode_is_held(access: VirtualBoardAccess) -> N
     access.wait(1.0)
     access.board.set_load(0, 0.02)
     access.wait(1.0)
-    said: list[str] = []
-    measure(access, BodeRequest(0, "speed", repeats=2), report=said.append)
+    messages: list[str] = []
+    measure(access, BodeRequest(0, "speed", repeats=2), report=messages.append)
     start = access.board.truth(0).theta_m
     access.wait(0.5)
     assert access.board.truth(0).theta_m == pytest.approx(start, abs=0.05)
     assert mode_of(access, 0) == "POSITION"
-    assert "axis1 holds its position in mode POSITION" in said[-1]
+    assert "axis1 holds its position in mode POSITION" in messages[-1]
 
 
 def test_other_axis_still_stops_when_its_set_points_expire(access: VirtualBoardAccess) -> None:
-    """It has 0.5 s for the next one while the first axis is measured, too."""
+    """The time-out of 0.5 s of the other axis also applies while the first axis is measured."""
     enable(access.board)
     access.write("param.command_timeout", [0.5])
     set_mode(access, 1, "SPEED")
@@ -178,8 +179,8 @@ def test_other_axis_still_stops_when_its_set_points_expire(access: VirtualBoardA
 def test_measurement_beyond_the_limits_is_refused_without_motion(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
-        (BodeRequest(0, "speed", speed=1000.0), "exceed the limit of axis1"),
-        (BodeRequest(0, "position", amplitude=400.0), "exceed the limit of axis1"),
+        (BodeRequest(0, "speed", speed=1000.0), "exceeds the limit of axis1"),
+        (BodeRequest(0, "position", amplitude=400.0), "exceeds the limit of axis1"),
         (BodeRequest(0, "speed", amplitude=3.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", amplitude=2.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", speed=10.0), "omit the speed"),
@@ -239,7 +240,7 @@ def test_varying_speed_of_the_shaft_is_an_error(access: VirtualBoardAccess) -> N
 
 
 class Computing(VirtualBoardAccess):
-    """A host that computes for longer than a set-point lasts, after each recording."""
+    """A host that computes for longer than the time-out of the set-points after each recording."""
 
     def record(self, *args: Any, **options: Any) -> Recording:
         recording = super().record(*args, **options)
@@ -276,7 +277,7 @@ def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) ->
 
 
 def test_figures_need_confirmation_at_half_the_amplitude() -> None:
-    """At 0.10 A the steps of the M/T method hide a fifth of the crossover."""
+    """At 0.10 A the quantisation of the M/T method shifts the crossover by a fifth."""
     with Board(level="registers", seed=3) as board:
         board.run(0.1)
         access = VirtualBoardAccess(board)
@@ -332,12 +333,12 @@ def test_too_small_signal_gives_a_note_or_no_figures(access: VirtualBoardAccess,
     assert tiny.figures.crossover is None
     assert "not determined" in text(tiny)
     assert as_dict(tiny)["measured"]["crossover"] is None
-    with pytest.raises(MeasurementError, match="not_a_format"):
+    with pytest.raises(PictureError, match="not_a_format"):
         draw(bode, tmp_path / "bode.not_a_format")
 
 
 def test_resonance_of_an_elastic_shaft_is_found(level: Level) -> None:
-    """Two masses: the load rests at 150 Hz, both swing against each other at 190 Hz."""
+    """Two masses: antiresonance at 150 Hz, resonance at 190 Hz."""
     rotor, load, frequency, damping = 5e-6, 3e-6, 150.0, 0.05
     stiffness = (2.0 * math.pi * frequency) ** 2 * load
     both = frequency * math.sqrt(1.0 + load / rotor)

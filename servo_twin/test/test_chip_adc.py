@@ -1,4 +1,4 @@
-"""12-bit ADC: triggered parallel scans with a pause, through crossbars and AOI, as the reference design runs them."""
+"""12-bit ADC: triggered parallel scans with a pause, through crossbars and AOI, as in the reference design."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def configure(rig: ChipRig, arm: int = 0x1005, **changes: int) -> None:
 
 
 def run_triggered(rig: ChipRig, periods: int = 4, **changes: int) -> int:
-    """Both carriers, the ADC armed just after motor 2's trigger; returns the clock of motor 1's next one."""
+    """Start both carriers and arm the ADC just after motor 2's trigger; return the clock of motor 1's next trigger."""
     rig.write_all(PWM_PINS | pwm_module("A") | pwm_module("B") | {
         k: v for k, v in (TRIGGERS | changes).items() if not k.startswith("ADC")
     })  # fmt: skip
@@ -122,7 +122,7 @@ def test_ready_flags_are_cleared_by_reading(rig: ChipRig) -> None:
 
 
 def test_a_result_read_too_early_is_the_old_one(rig: ChipRig) -> None:
-    """VAL5 closer to VAL4 than three conversions take: the third pair is still that of the last period."""
+    """VAL5 follows VAL4 before three conversions have ended: the third pair still has the result of the last period."""
     rig.codes[6] = lambda clock: clock // PERIOD % 4096
     read: list[tuple[int, int]] = []
 
@@ -153,9 +153,9 @@ class TestPhaseOfTheSamples:
         t0 = run_triggered(rig, ADC_SCTRL=0)
         taken = samples(rig, t0)
         assert [a for _, a in taken[:12]] == [0, 1, 2, 3, 4, 5] * 2
-        assert taken[6][0] - taken[0][0] == align(t0 + HALF + 1) - align(t0)  # motor 2 gets a scan of its own
+        assert taken[6][0] - taken[0][0] == align(t0 + HALF + 1) - align(t0)  # motor 2 has its own scan
 
-    def test_pause_at_another_pair(self, rig: ChipRig) -> None:
+    def test_the_pause_can_precede_another_pair(self, rig: ChipRig) -> None:
         t0 = run_triggered(rig, ADC_SCTRL=0x0004)
         taken = samples(rig, t0)
         assert [a for clock, a in taken if clock < HALF] == [0, 1]
@@ -164,19 +164,19 @@ class TestPhaseOfTheSamples:
     @pytest.mark.parametrize(
         "broken", [{"PWMB0_TCTRL": 0}, {"XBARB_SEL0": 0x0009}, {"AOI_BFCRT01_0": 0x7F00}, {"PWMB0_TCTRL": 0x20}]
     )
-    def test_motor_2_trigger_missing(self, rig: ChipRig, broken: dict[str, int]) -> None:
+    def test_a_wrong_trigger_of_motor_2_shifts_the_samples(self, rig: ChipRig, broken: dict[str, int]) -> None:
         """The second half of the scan comes with motor 1's trigger, a period late, at the wrong instant."""
         t0 = run_triggered(rig, **broken)
         taken = samples(rig, t0)
         if broken.get("PWMB0_TCTRL") == 0x20:
-            # VAL5's pulse is ORed into the same line, but it came after the ADC was armed: the motors are swapped
+            # VAL5 triggers the same line, and it is the first trigger after the ADC was armed: the motors are swapped
             assert [a for clock, a in taken if HALF + 300 < clock < PERIOD] == [0, 1, 2]
             return
         assert [a for clock, a in taken if clock < PERIOD - 10] == [0, 1, 2]
         assert [a for clock, a in taken if PERIOD - 10 < clock < 2 * PERIOD - 10] == [3, 4, 5]
 
     @pytest.mark.parametrize("broken", [{"XBARA_SEL6": 0}, {"XBARA_SEL6": 0x2E00}, {"ADC_CTRL1": 0x0005}])
-    def test_no_scan_without_sync(self, rig: ChipRig, broken: dict[str, int]) -> None:
+    def test_a_missing_sync_causes_no_scan(self, rig: ChipRig, broken: dict[str, int]) -> None:
         changes = {k: v for k, v in broken.items() if k != "ADC_CTRL1"}
         if "ADC_CTRL1" in broken:
             run_triggered(rig)
@@ -188,7 +188,7 @@ class TestPhaseOfTheSamples:
             run_triggered(rig, **changes)
         assert rig.events("sample") == []
 
-    def test_and_instead_of_or(self, rig: ChipRig) -> None:
+    def test_triggers_connected_by_and_cause_no_scan(self, rig: ChipRig) -> None:
         run_triggered(rig, AOI_BFCRT01_0=0x5F00)  # A and B
         assert rig.events("sample") == []
 
@@ -242,10 +242,10 @@ class TestScanEnd:
         rig.step(5000)
         enters, leaves = rig.clocks("enter"), rig.clocks("leave")
         assert len(enters) >= 10
-        assert enters[1:] == leaves[: len(enters) - 1]  # again and again without a gap
+        assert enters[1:] == leaves[: len(enters) - 1]  # repeated without a gap
 
     def test_a_sample_calls_its_handler_once(self, rig: ChipRig) -> None:
-        """SCHLTEN asks after sample 9 until its result has been read."""
+        """SCHLTEN requests the interrupt after sample 9 until its result is read."""
         calls = []
 
         def handler() -> None:
@@ -286,26 +286,26 @@ class TestConditions:
         with pytest.raises(ChipError, match=r"ADC RSLT3 is accessed while its clock is gated off \(SIM_PCE2 bit 7\)"):
             rig.read("ADC_RSLT3")
 
-    def test_analogue_pin_left_to_gpio(self, rig: ChipRig) -> None:
+    def test_an_analogue_pin_used_as_gpio_reads_zero(self, rig: ChipRig) -> None:
         rig.codes = [1000] * 16
         configure(rig, arm=0x5005, ADC_SCTRL=0, GPIOA_PER=0xFE)
         rig.write("ADC_CTRL1", 0x2001)
         rig.step(1000)
         assert [rig.read(f"ADC_RSLT{n}") // 8 for n in (0, 1, 8)] == [0, 1000, 1000]
 
-    def test_list_of_channels(self, rig: ChipRig) -> None:
+    def test_channels_are_taken_from_the_list(self, rig: ChipRig) -> None:
         configure(rig, arm=0x5005, ADC_SCTRL=0, ADC_CLIST1=0x0123, ADC_CLIST3=0x89AB)
         rig.write("ADC_CTRL1", 0x2001)
         rig.step(1000)
         assert [rig.read(f"ADC_RSLT{n}") // 8 for n in (0, 3, 8, 11)] == [300, 0, 1100, 800]
 
-    def test_input_of_the_other_converter(self, rig: ChipRig) -> None:
+    def test_an_input_of_the_other_converter_is_an_error(self, rig: ChipRig) -> None:
         configure(rig, arm=0x5005, ADC_CLIST1=0x3218)
         rig.write("ADC_CTRL1", 0x2001)
         with pytest.raises(ChipError, match="sample 0 of converter A takes an input of the other one"):
             rig.step(1000)
 
-    def test_clock_too_fast_for_the_speed_code(self, rig: ChipRig) -> None:
+    def test_a_clock_too_fast_for_the_speed_code_is_an_error(self, rig: ChipRig) -> None:
         configure(rig, arm=0x5005, ADC_PWR2=0x0400)
         with pytest.raises(ChipError, match="a clock of 20 MHz with SPEEDA = 0"):
             rig.write("ADC_CTRL1", 0x2001)
@@ -320,7 +320,7 @@ class TestConditions:
         assert rig.clocks("scan_end") == [begin + 265]
 
     def test_independent_converters_end_their_own_scans(self, rig: ChipRig) -> None:
-        """SIMULT = 0: B obeys its own SYNC and divider, and has its own end of scan."""
+        """SIMULT = 0: converter B has its own SYNC, divider and end of scan."""
         configure(rig, arm=0x5005, ADC_SDIS=0xF0F0, ADC_SCTRL=0)
         rig.write("ADC_CTRL2", 0x2004)  # START1
         begin = align(rig.now)
@@ -331,7 +331,7 @@ class TestConditions:
         assert rig.read("ADC_STAT") & 0x1800 == 0x1000
 
 
-def test_a_scan_without_samples(rig: ChipRig) -> None:
+def test_a_scan_without_samples_is_an_error(rig: ChipRig) -> None:
     configure(rig, arm=0x5005, ADC_SDIS=0x0100)
     with pytest.raises(ChipError, match=r"a scan without samples \(SDIS = 0100h\)"):
         rig.write("ADC_CTRL1", 0x2001)

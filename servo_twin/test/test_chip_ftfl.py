@@ -1,4 +1,4 @@
-"""The flash controller: commands on the data flash, what they take and leave, and what is refused."""
+"""The flash controller: commands on the data flash, their duration and result, and refused accesses."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_invalid_address_is_an_access_error(rig: ChipRig) -> None:
         launch(rig, 0x06, byte, 0)
         assert status(rig) == CCIF | ACCERR
         launch(rig, 0x06, 0, 0)
-        assert word(rig, 0) == 0xFFFF_FFFF, "the error keeps the next command from starting"
+        assert word(rig, 0) == 0xFFFF_FFFF, "a pending error blocks the next command"
         rig.write("FTFL_FSTAT", ACCERR)
     launch(rig, 0x06, 0, 0)
     assert status(rig) == 0
@@ -103,7 +103,7 @@ def test_commands_during_a_command_are_ignored(rig: ChipRig) -> None:
         ("FTFL_FSEC", 0, "protection is not modelled"),
     ],
 )
-def test_what_is_not_modelled_stops_the_chip(rig: ChipRig, register: str, value: int, text: str) -> None:
+def test_unmodelled_functions_stop_the_chip(rig: ChipRig, register: str, value: int, text: str) -> None:
     with pytest.raises(ChipError, match=text):
         rig.write(register, value)
 

@@ -1,4 +1,4 @@
-"""Each peripheral of the chip new_peripheral: its header, its own C files, and a bus whose signals the test records."""
+"""Each peripheral of the chip alone: its header, its own C files, and a bus whose signals the test records."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PARTS: Final[Mapping[str, list[str]]] = {
     "ftfl": ["chip/ftfl.c", "flash.c"],
     "pwm": ["chip/pwm.c", "chip/pwm_outputs.c", "chip/pwm_registers.c"],
 }
-"""C files of each peripheral, beside those of the bus."""
+"""C files of each peripheral, in addition to those of the bus."""
 
 EVENTS: Final = {
     "adc": [("SOURCE_ADC", 2, "adc_event")],
@@ -30,7 +30,7 @@ EVENTS: Final = {
     "qtmr": [("SOURCE_TIMER", 2, "qtmr_event")],
     "xbar": [],
 }
-"""First source of events, their number and what handles them, of the peripherals that a test runs."""
+"""First event source, number of event sources and handler of the peripherals that a test runs."""
 
 CDEF: Final = """
 typedef struct {{ bus_t bus; {name}_t peripheral; }} rig_t;
@@ -154,7 +154,7 @@ def new_peripheral(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Pe
 
 @pytest.mark.parametrize("name", PARTS)
 def test_peripheral_is_linked_without_the_others(name: str, tmp_path: Path) -> None:
-    """Only the bus and its own headers are included, and nothing is missing when it is linked."""
+    """A peripheral includes only the bus and its own headers, and links with these alone."""
     sources = [NATIVE / path for path in PARTS[name]]
     for source in [*sources, *CHIP.glob(f"{name}*.h")]:
         included = set(re.findall(r'#include "(.*)"', source.read_text(encoding="utf-8")))
@@ -166,7 +166,7 @@ def test_peripheral_is_linked_without_the_others(name: str, tmp_path: Path) -> N
     )  # fmt: skip
 
 
-def test_the_watchdog_resets_the_chip_unless_it_is_served(new_peripheral: Callable[..., Peripheral]) -> None:
+def test_the_watchdog_resets_the_chip_unless_it_is_serviced(new_peripheral: Callable[..., Peripheral]) -> None:
     cop = new_peripheral("cop")
     cop.write({"COP_CTRL": 0x0140, "COP_TOUT": 99})
     cop.write({"COP_CTRL": 0x0142})  # bus clock / 16

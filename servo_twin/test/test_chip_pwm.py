@@ -11,7 +11,7 @@ TRIG_A1 = 22  # VAL4 of PWMA SM1 at the crossbar
 
 
 def prepare(rig: ChipRig, half: int = 1000, **changes: int) -> int:
-    """Module A as the reference design has it, running; returns the clock of its start."""
+    """Start module A as in the reference design; return the clock of the start."""
     rig.write_all(PWM_PINS)
     rig.write_all(pwm_module("A", half, **changes))
     start_pwm(rig, "A")
@@ -47,7 +47,7 @@ class TestCounter:
             assert [c - start for c in rig.clocks("cycle", a=n)] == [PERIOD, 2 * PERIOD, 3 * PERIOD]
 
     def test_missed_trigger_occurs_in_the_next_cycle(self, rig: ChipRig) -> None:
-        """Switched on after its count, before any other event of the submodule."""
+        """The trigger is enabled after its count, before any other event of the submodule."""
         start = prepare(rig, PWMA1_VAL4=55)
         rig.run(start + HALF + 200)
         rig.write("PWMA1_TCTRL", 0x10)
@@ -55,7 +55,7 @@ class TestCounter:
         assert [clock - start for clock in rig.clocks("trigger", a=TRIG_A1)] == [PERIOD + HALF + 55]
 
     def test_a_follower_without_sync_counts_on(self, rig: ChipRig) -> None:
-        """INIT_SEL = EXT_SYNC and no such signal: the counter goes on past VAL1 and wraps after 65536 counts."""
+        """INIT_SEL = EXT_SYNC without that signal: the counter passes VAL1 and wraps after 65536 counts."""
         start = prepare(rig, PWMA1_CTRL2=0x0304)
         rig.run(start + PERIOD + 10)
         assert rig.read("PWMA1_CNT") == HALF + 10
@@ -73,8 +73,8 @@ class TestCounter:
         rig.run(start + 4 * PERIOD)
         assert [c - start for c in rig.clocks("cycle", a=0)] == [2 * PERIOD, 4 * PERIOD]
 
-    def test_stands_still_without_a_load(self, rig: ChipRig) -> None:
-        """RUN without LDOK: all values are 0, a cycle of a single clock."""
+    def test_the_counter_does_not_run_without_a_load(self, rig: ChipRig) -> None:
+        """RUN without LDOK: all values are 0, so a cycle lasts one clock."""
         rig.write_all(PWM_PINS | pwm_module("A"))
         rig.write("PWMA_MCTRL", 0x0700)
         rig.write("PWMA_OUTEN", 0x0770)
@@ -89,7 +89,7 @@ class TestCounter:
         rig.run(begun + PERIOD)
         assert [c - begun for c in rig.clocks("cycle", a=0)] == [0, PERIOD]
 
-    def test_submodule_without_clock_stops(self, rig: ChipRig) -> None:
+    def test_a_submodule_without_clock_stops(self, rig: ChipRig) -> None:
         start = prepare(rig)
         rig.run(start + 1000)
         rig.write("SIM_PCE3", 0x00FF & ~(1 << 6))  # PWMA SM1
@@ -121,7 +121,7 @@ class TestEdges:
         highs = [clock for clock, levels in gates(rig, start) if levels == HIGH]
         lows = [clock for clock, levels in gates(rig, start) if levels == LOW]
         assert (highs, lows) == ([HALF - 1000 + expected], [HALF + 1000 + 100])
-        # without dead time the pins change over in one clock: nothing is open in between
+        # without dead time both pins switch in the same clock: no open state in between
         assert ((HALF - 1000, OPEN) in gates(rig, start)) == (expected > 0)
 
     def test_dead_time_before_the_lower_switch(self, rig: ChipRig) -> None:
@@ -134,7 +134,7 @@ class TestEdges:
         rig.run(start + PERIOD)
         assert gates(rig, start) == [(HALF - 30, OPEN), (HALF + 30 + 100, LOW)]
 
-    def test_reset_value_of_the_dead_time(self, rig: ChipRig) -> None:
+    def test_the_dead_time_is_7ffh_after_reset(self, rig: ChipRig) -> None:
         values = {k: v for k, v in pwm_module("A", 2500).items() if "DTCNT" not in k}
         rig.write_all(PWM_PINS | values)
         start_pwm(rig, "A")
@@ -149,7 +149,7 @@ class TestEdges:
         rig.run(start + 4 * PERIOD)
         assert gates(rig, start) == [(0, OPEN), (100, HIGH)]
 
-    def test_equal_edges_are_off(self, rig: ChipRig) -> None:
+    def test_equal_edges_keep_the_output_off(self, rig: ChipRig) -> None:
         start = prepare(rig, 0)
         rig.run(start + 2 * PERIOD)
         assert gates(rig, start) == []
@@ -162,12 +162,12 @@ class TestEdges:
     def test_polarity_inverts_the_outputs(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_OCTRL=0x0600)
         rig.run(start + PERIOD)
-        # what should be open has both switches on
+        # both switches are on where both should be open
         assert [levels for _, levels in gates(rig, start)] == [3, 2, 3, 1]
 
 
 class TestLoading:
-    def test_half_cycle_reload(self, rig: ChipRig) -> None:
+    def test_a_half_cycle_reload_acts_within_the_pulse(self, rig: ChipRig) -> None:
         """The pulse in progress keeps its old rising edge and takes the new falling edge."""
         start = prepare(rig, 1000)
         rig.run(start + 10)
@@ -183,7 +183,7 @@ class TestLoading:
             (HALF + 600, LOW),
         ]
 
-    def test_full_cycle_reload(self, rig: ChipRig) -> None:
+    def test_a_full_cycle_reload_acts_in_the_next_cycle(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, **{f"PWMA{n}_CTRL": 0x0400 for n in range(3)})
         rig.run(start + 10)
         set_duty(rig, 500)
@@ -204,7 +204,7 @@ class TestLoading:
         rig.run(start + PERIOD)
         assert rig.clocks("load", a=2) == [start + HALF, start + PERIOD]
 
-    def test_every_second_opportunity(self, rig: ChipRig) -> None:
+    def test_values_can_be_loaded_at_every_second_opportunity(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_CTRL=0x1800)
         rig.run(start + 10)
         set_duty(rig, 500)
@@ -223,7 +223,7 @@ class TestLoading:
 
     @pytest.mark.parametrize("submodule", [0, 1])
     def test_edges_may_be_exchanged(self, rig: ChipRig, submodule: int) -> None:
-        """Pulses anywhere in the period: before VAL0, behind it, in it; back and forth; VAL3 before VAL2."""
+        """Pulses before, across and after VAL0, in both directions of change, and with VAL3 before VAL2."""
         start = prepare(rig, 1000)
         pulses = [(500, 2000), (-2000, -500), (0, 800), (-700, 0), (1500, -1500), (-3000, 2900), (-1000, 1000)]
         for k, (on, off) in enumerate(pulses):
@@ -233,7 +233,7 @@ class TestLoading:
             rig.write("PWMA_MCTRL", 0x0707)
             rig.run(start + (k + 1) * PERIOD + HALF)
             rig.clear()
-            # loaded at the end of the half before, so that the following whole period shows it
+            # loaded at the end of the previous half period, so the following whole period shows it
             rig.write("PWMA_MCTRL", 0x0770)
             rig.run(start + (k + 2) * PERIOD + HALF)
             opened = [(c - start - HALF) % PERIOD for c, m, n, x in rig.gates if (m, n, x) == (0, submodule, OPEN)]
@@ -246,9 +246,9 @@ class TestLoading:
         rig.write("PWMA0_STS", 0x3000)
         set_duty(rig, 500)
         rig.run(start + PERIOD)
-        assert rig.read("PWMA0_STS") & 0x7000 == 0x1000  # RF alone: nothing has been left over
+        assert rig.read("PWMA0_STS") & 0x7000 == 0x1000  # RF alone: no other flag remains
 
-    def test_ldok_of_one_submodule(self, rig: ChipRig) -> None:
+    def test_ldok_can_load_a_single_submodule(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + 10)
         set_duty(rig, 500, ldok=2)
@@ -274,7 +274,7 @@ class TestLoading:
         rig.run(start + PERIOD)
         assert gates(rig, start)[2] == (HALF + 500, OPEN)
 
-    def test_load_at_once(self, rig: ChipRig) -> None:
+    def test_values_can_be_loaded_immediately(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_CTRL=0x0804)
         rig.run(start + 10)
         set_duty(rig, 500)
@@ -333,17 +333,17 @@ class TestForce:
         rig.run(start + PERIOD)
         assert gates(rig, start)[1:4:2] == [(110, HIGH), (HALF - 1000 + 100, LOW)]
 
-    @pytest.mark.parametrize(("mask", "left"), [(0x0010, HIGH), (0x0100, LOW), (0x0110, OPEN)])
-    def test_mask_waits_for_force(self, rig: ChipRig, mask: int, left: int) -> None:
+    @pytest.mark.parametrize(("mask", "gate_state"), [(0x0010, HIGH), (0x0100, LOW), (0x0110, OPEN)])
+    def test_mask_waits_for_force(self, rig: ChipRig, mask: int, gate_state: int) -> None:
         """B or A of submodule 0, or both."""
         start = prepare(rig, 1000)
         rig.run(start + 10)
         rig.write("PWMA_MASK", mask)
         assert gates(rig, start) == []
         rig.write("PWMA0_CTRL2", 0x0040)
-        assert (gates(rig, start) == [(10, OPEN)]) == (left != LOW)
+        assert (gates(rig, start) == [(10, OPEN)]) == (gate_state != LOW)
         rig.run(start + 3 * PERIOD)
-        assert {levels for clock, levels in gates(rig, start) if clock > PERIOD} | {OPEN} == {left, OPEN}
+        assert {levels for clock, levels in gates(rig, start) if clock > PERIOD} | {OPEN} == {gate_state, OPEN}
 
     def test_force_can_begin_the_cycle(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
@@ -353,7 +353,7 @@ class TestForce:
         rig.run(start + 10 + PERIOD)
         assert gates(rig, start)[:3] == [(10, OPEN), (110, HIGH), (10 + HALF + 1000, OPEN)]
 
-    def test_outputs_off_at_once(self, rig: ChipRig) -> None:
+    def test_disabled_outputs_open_immediately(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + HALF)
         rig.write("PWMA_OUTEN", 0)
@@ -361,8 +361,8 @@ class TestForce:
 
 
 class TestPins:
-    def test_pin_function_wrong(self, rig: ChipRig) -> None:
-        """The pin of a gate driver given to another function, or to GPIO: its switch stays off."""
+    def test_a_wrong_pin_function_keeps_the_switch_off(self, rig: ChipRig) -> None:
+        """The pin of a gate driver has another function or is GPIO: its switch stays off."""
         start = prepare(rig, 1000)
         rig.write("SIM_GPSEL", 0xA000 | 1 << 10)  # E5 is XB_IN3: no upper switch of phase c
         rig.write("GPIOE_PER", 0x01FD)  # E1 is GPIO: no upper switch of phase a
@@ -378,7 +378,7 @@ class TestPins:
         rig.write("GPIOE_DR", 0x0002)
         assert rig.gates[-1][1:] == (0, 0, HIGH)
 
-    def test_select_of_the_other_module(self, rig: ChipRig) -> None:
+    def test_a_wrong_pin_selection_disconnects_a_submodule(self, rig: ChipRig) -> None:
         """E6 and E7 carry PWMB 2 only with code 2."""
         rig.write_all(PWM_PINS | pwm_module("B", PWMB0_CTRL2=0, PWMB1_CTRL2=0x0204, PWMB2_CTRL2=0x0204))
         rig.write("SIM_GPSEL", 0)
@@ -396,21 +396,21 @@ class TestFaults:
         rig.pin("E8", True)
         return start
 
-    def test_outputs_open_without_software(self, rig: ChipRig) -> None:
+    def test_a_fault_opens_the_outputs_without_software(self, rig: ChipRig) -> None:
         start = self.trip(rig)
         assert gates(rig, start)[-1] == (HALF, OPEN)
         assert rig.read("PWMA_FSTS0") & 0x010F == 0x0101
         rig.run(start + 5 * PERIOD)
         assert gates(rig, start)[-1] == (HALF, OPEN)
         rig.clear()
-        assert rig.read("PWMB_FSTS0") & 0x000F == 0x000F  # of the other module: FLVL is 0, low is a fault there
+        assert rig.read("PWMB_FSTS0") & 0x000F == 0x000F  # other module: FLVL is 0, so a low level is a fault
 
     def test_safe_mode_waits_for_flag_and_pin(self, rig: ChipRig) -> None:
         start = self.trip(rig)
         rig.run(start + PERIOD + 10)
         rig.write("PWMA_FSTS0", 0x00F1)
         rig.run(start + 3 * PERIOD + 10)
-        assert gates(rig, start)[-1] == (HALF, OPEN)  # the pin still says so
+        assert gates(rig, start)[-1] == (HALF, OPEN)  # the pin is still at its fault level
         rig.pin("E8", False)
         assert gates(rig, start)[-1] == (HALF, OPEN)
         rig.run(start + 4 * PERIOD)
@@ -423,7 +423,7 @@ class TestFaults:
         rig.run(start + 5 * PERIOD)
         assert gates(rig, start)[-1] == (HALF, OPEN)
 
-    def test_half_cycle_resume(self, rig: ChipRig) -> None:
+    def test_outputs_resume_at_the_half_cycle(self, rig: ChipRig) -> None:
         start = self.trip(rig, fsts=0xF00F)
         rig.run(start + PERIOD + 10)
         rig.pin("E8", False)
@@ -431,7 +431,7 @@ class TestFaults:
         rig.run(start + PERIOD + HALF)
         assert gates(rig, start)[-1] == (PERIOD + HALF, HIGH)
 
-    def test_no_resume_without_a_boundary(self, rig: ChipRig) -> None:
+    def test_outputs_never_resume_without_a_boundary(self, rig: ChipRig) -> None:
         """FFULL and FHALF both 0: the outputs stay off for good."""
         start = self.trip(rig)
         rig.pin("E8", False)
@@ -454,7 +454,7 @@ class TestFaults:
         assert gates(rig, start)[-1] == (2 * PERIOD, LOW)
 
     def test_outputs_stay_off_with_the_wrong_fault_level(self, rig: ChipRig) -> None:
-        """FLVL = 0 where high is the fault: the outputs never come on."""
+        """FLVL = 0 although high is the fault level: the outputs are never enabled."""
         start = prepare(rig, 1000, PWMA_FCTRL0=0x00F0)
         rig.run(start + 3 * PERIOD)
         assert rig.gates == []
@@ -498,7 +498,7 @@ class TestFaults:
 
 
 def both(rig: ChipRig, **changes: int) -> int:
-    """Both modules, B led by VAL0 of A through crossbar A."""
+    """Both modules; B is synchronised by VAL0 of A through crossbar A."""
     rig.write_all(PWM_PINS)
     values = pwm_module("A") | pwm_module("B") | {
         "PWMA0_TCTRL": 1, "XBARA_SEL26": 0x1400, "XBARA_SEL27": 0x1414,
@@ -522,7 +522,7 @@ def phase(rig: ChipRig) -> float:
 
 class TestTwoModules:
     @pytest.mark.parametrize("latency", [0, 2, 5])
-    def test_half_a_period_apart(self, registers_c: Native, latency: int) -> None:
+    def test_the_modules_are_half_a_period_apart(self, registers_c: Native, latency: int) -> None:
         rig = ChipRig(registers_c, crossbar_clocks=latency)
         both(rig)
         assert phase(rig) == HALF + 1 + latency
@@ -532,7 +532,7 @@ class TestTwoModules:
         both(rig, PWMA0_VAL0=-1000)
         assert phase(rig) == HALF - 1000 + 1
 
-    def test_followers_by_the_master_sync_of_submodule_0(self, rig: ChipRig) -> None:
+    def test_followers_can_use_the_master_sync_of_submodule_0(self, rig: ChipRig) -> None:
         both(rig, PWMB1_CTRL2=0x0204, PWMB2_CTRL2=0x0204)
         assert rig.clocks("cycle", a=4) == rig.clocks("cycle", a=5) == rig.clocks("cycle", a=6)
 
@@ -549,7 +549,7 @@ class TestTwoModules:
         assert rig.clocks("cycle", a=4) == []
 
     def test_own_sync_keeps_the_phase_of_the_start(self, rig: ChipRig) -> None:
-        """INIT_SEL of B left at its own VAL1: same frequency, phase by chance."""
+        """INIT_SEL of B selects its own VAL1: same frequency, arbitrary phase."""
         both(rig, PWMB0_CTRL2=0, PWMB1_CTRL2=0x0204, PWMB2_CTRL2=0x0204)
         assert phase(rig) == PERIOD - 777 % PERIOD
 
@@ -567,7 +567,7 @@ def test_compare_flags_are_cleared_by_writing_one(rig: ChipRig) -> None:
     assert rig.read("PWMA0_STS") & 0x3F == 0b111111
 
 
-def test_a_compare_that_is_watched_too_late_comes_with_the_next_cycle(rig: ChipRig) -> None:
+def test_a_compare_enabled_after_its_count_occurs_in_the_next_cycle(rig: ChipRig) -> None:
     start = prepare(rig)
     rig.run(start + 1000)
     rig.write("PWMA1_TCTRL", 0x0010)
@@ -601,7 +601,7 @@ def test_a_compare_event_calls_its_handler_every_period(rig: ChipRig) -> None:
         ("PWMA_OUTEN", 1),
     ],
 )
-def test_what_is_not_modelled_names_register_value_and_time(rig: ChipRig, register: str, value: int) -> None:
+def test_error_of_an_unmodelled_function_names_register_value_and_time(rig: ChipRig, register: str, value: int) -> None:
     letter, name = register.split("_")
     spoken = f"PWMA SM{letter[4]} {name}" if len(letter) == 5 else f"PWMA {name}"
     with pytest.raises(ChipError, match=rf"^{spoken} = {value:04X}h: .* \(at \d+\.\d\d us\)$"):

@@ -1,4 +1,4 @@
-"""Clocks, gates, pins, watchdog, interrupts, serial interface; and that registers have the names of the part."""
+"""Clocks, clock gates, pins, watchdog, interrupts, serial interface, register names of the part."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class TestClocks:
         rig.step(100)
         assert rig.read("OCCS_STAT") == 0x0061
 
-    def test_switch_before_lock(self, registers_c: Native) -> None:
+    def test_choosing_the_pll_before_its_lock_is_an_error(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         rig.write("OCCS_CTRL", 0x0080)
         with pytest.raises(ChipError, match="OCCS CTRL = 0081h: the PLL is chosen before it has locked"):
             rig.write("OCCS_CTRL", 0x0081)
 
-    def test_crystal_needs_time(self, registers_c: Native) -> None:
+    def test_the_crystal_needs_a_start_up_time(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         with pytest.raises(ChipError, match="external clock is chosen while there is none"):
             rig.write("OCCS_CTRL", 0x0094)
@@ -67,7 +67,7 @@ class TestClocks:
 
 class TestAccess:
     @pytest.mark.parametrize("address", [0xE400 + 6, 0xDE00, 0xC000, 0xE1E0, 0xE6AA, 0xE6CF, 0xE556, 0x0100])
-    def test_no_such_register(self, rig: ChipRig, address: int) -> None:
+    def test_an_unknown_address_is_an_error(self, rig: ChipRig, address: int) -> None:
         assert rig.lib.try_read(rig.chip, address) == -1
         text = rig.ffi.string(rig.chip.core.bus.error).decode()
         assert f"({address:04X}h) is not modelled (at " in text
@@ -93,7 +93,7 @@ class TestAccess:
 
 
 class Interrupts:
-    """Levels: 77 PWM fault, 85 M1, 28 an encoder edge; the fields of their priorities."""
+    """Vectors 77 (PWM fault), 85 (M1) and 28 (encoder edge), and their priority fields."""
 
     FIELD: ClassVar[dict[int, tuple[str, int]]] = {
         77: ("INTC_IPR8", 8),
@@ -184,7 +184,7 @@ class TestInterrupts(Interrupts):
         rig.step(1000)
         assert [e.a for e in rig.events("enter")] == [76, 87]
 
-    def test_level_off_and_masks(self, rig: ChipRig) -> None:
+    def test_disabled_and_masked_interrupts_wait(self, rig: ChipRig) -> None:
         self.m1(rig, 100)
         start = self.start(rig)
         rig.run(start + 1000)
@@ -201,7 +201,7 @@ class TestInterrupts(Interrupts):
 class TestTimeInAHandler(Interrupts):
     """Two clocks for each instruction, 30 for the entry of an interrupt.
 
-    No run may end within a handler of these tests: Python's own stack does not survive that.
+    No run of these tests may end within a handler, because the stack of Python would be destroyed.
     """
 
     INSTRUCTION = 16
@@ -259,7 +259,7 @@ class TestTimeInAHandler(Interrupts):
             rig.step(PERIOD)
 
     def test_an_interrupt_comes_between_two_statements_at_every_instant(self, rig: ChipRig) -> None:
-        """The outer handler never notices, and ends later by as much as the inner one takes."""
+        """The outer handler is not affected, except that it ends later by the duration of the inner one."""
         for delay in range(430, 460):
             seen: list[str] = []
 
@@ -283,7 +283,7 @@ class TestTimeInAHandler(Interrupts):
             enter = rig.clocks("enter", a=77)[0] - start
             assert enter == delay
             assert rig.clocks("leave", a=85) == [start + 460 + 70]
-            assert seen.index("in") == min((delay - 430) // 2, 10), "statements that are through"
+            assert seen.index("in") == min((delay - 430) // 2, 10), "statements executed before the interrupt"
             rig.write("PWMA_MCTRL", 0)
             rig.pin("E8", False)
             rig.write("PWMA_FSTS0", 0x00FF)
@@ -332,7 +332,7 @@ class TestWatchdog:
         rig.step(400 * 12800)
         assert rig.boots == 2
 
-    def test_on_after_reset(self, registers_c: Native) -> None:
+    def test_the_watchdog_is_on_after_reset(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         rig.step(65536 * 12800 + 10)
         assert rig.boots == 2
@@ -368,7 +368,7 @@ class TestSerial:
         assert serial.read("SCI0_STAT") & 0xC000 == 0xC000  # TDRE, TIDLE
 
     def test_writing_to_a_full_transmitter_is_refused(self, serial: ChipRig) -> None:
-        for k in range(5):  # one on the wire, four wait
+        for k in range(5):  # one in transmission, four waiting
             serial.write("SCI0_DATA", k)
         assert not serial.read("SCI0_STAT") & 0x8000
         assert serial.read("SCI0_CTRL2") >> 13 == 4
@@ -376,7 +376,7 @@ class TestSerial:
             serial.write("SCI0_DATA", 5)
 
     def test_background_runs_again_for_an_event_that_it_causes(self, serial: ChipRig) -> None:
-        """It lets three bytes come and takes one with each run: the reading is what wakes it for the next event."""
+        """The background waits for three bytes and takes one per run; each read causes the next run."""
         taken: list[int] = []
 
         def take_one() -> None:
@@ -406,7 +406,7 @@ class TestSerial:
         serial.step(BYTE)
         assert serial.read("SCI0_STAT") & 0x2000
 
-    def test_without_fifo_status_comes_first(self, serial: ChipRig) -> None:
+    def test_without_fifo_the_status_must_be_read_first(self, serial: ChipRig) -> None:
         serial.write("SCI0_CTRL2", 0)
         serial.host_write(b"x")
         serial.step(BYTE)
@@ -439,7 +439,7 @@ class TestSerial:
         assert got[0][0] - begin == pytest.approx(BYTE, abs=1)
 
     @pytest.mark.parametrize(("rate", "good"), [(434, True), (446, True), (420, True), (480, False), (217, False)])
-    def test_wrong_baud_rate(self, serial: ChipRig, rate: int, good: bool) -> None:
+    def test_a_wrong_baud_rate_damages_bytes(self, serial: ChipRig, rate: int, good: bool) -> None:
         serial.write("SCI0_RATE", rate)
         serial.host_write(bytes([0x55, 0x0F]))
         serial.write("SCI0_DATA", 0x55)
@@ -448,7 +448,7 @@ class TestSerial:
         assert (received == 0x55 and not serial.read("SCI0_STAT") & 0x0200) == good
         assert (serial.host_read() == b"\x55") == good
 
-    def test_twice_the_clock(self, serial: ChipRig) -> None:
+    def test_the_clock_of_the_interface_can_be_doubled(self, serial: ChipRig) -> None:
         serial.write("SIM_PCR", 1 << 13)
         serial.write("SCI0_RATE", 868)
         begin = serial.now
@@ -467,7 +467,7 @@ class TestSerial:
         assert rig.host_read() == b""
         assert not rig.read("SCI0_STAT") & 0x2000
 
-    def test_another_interface_on_other_pins(self, rig: ChipRig) -> None:
+    def test_another_interface_does_not_send_on_these_pins(self, rig: ChipRig) -> None:
         rig.write_all(SERIAL)
         rig.write_all({"SCI1_RATE": 434, "SCI1_CTRL1": 0x000C})
         rig.write("SCI1_DATA", 1)

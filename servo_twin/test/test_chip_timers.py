@@ -1,4 +1,4 @@
-"""Quad timers in the roles of the reference design (DRM 2.4): position, time stamp, index, age of the last edge."""
+"""Quad timers as used in the reference design (DRM 2.4): position, time stamp, index, age of the last edge."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def timer(letter: str, **changes: int) -> dict[str, int]:
 
 
 class Encoder:
-    """Lines of an encoder: A leads B upwards. One count per step."""
+    """Lines of an encoder: A leads B when counting up. One count per step."""
 
     def __init__(self, rig: ChipRig, a: str = "C3", b: str = "C4") -> None:
         self.rig, self.pins, self.position = rig, (a, b), 0
@@ -79,19 +79,19 @@ class TestPosition:
             seen.append(count(rig))
         assert seen == [3999, 0, 1, -3999, 0, -1]
 
-    def test_compare_value_wrong(self, rig: ChipRig, encoder: Encoder) -> None:
-        """COMP2 = 0, the mirror of LOAD: downwards the count is reloaded at every edge from there on, and stays 0."""
+    def test_a_compare_value_equal_to_load_stops_counting_down(self, rig: ChipRig, encoder: Encoder) -> None:
+        """COMP2 = 0, equal to LOAD: when counting down the counter is reloaded at every further edge and stays 0."""
         rig.write("TMRA0_COMP2", 0)
         encoder.turn(5)
         encoder.turn(-20)
         assert count(rig) == 0
 
-    def test_comp2_of_the_wrong_sign(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_comp2_of_the_wrong_sign_prevents_the_wrap(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA0_COMP2", 3999)
         encoder.turn(-4500, 10)
         assert count(rig) == -4500  # no wrap downwards
 
-    def test_without_length_it_counts_on(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_without_length_the_counter_does_not_wrap(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA0_CTRL", 0x8085)
         encoder.turn(4100, 10)
         assert count(rig) == 4100
@@ -101,8 +101,8 @@ class TestPosition:
         encoder.turn(7)
         assert count(rig) == -7
 
-    def test_pin_function_wrong(self, rig: ChipRig, encoder: Encoder) -> None:
-        """B is not led to the timer: A alone counts up and down."""
+    def test_a_wrong_pin_function_disconnects_the_encoder(self, rig: ChipRig, encoder: Encoder) -> None:
+        """B is not connected to the timer: A alone counts up and down."""
         rig.write("SIM_GPSCL", 1 << 4 | 1 << 8)
         encoder.turn(40)
         assert count(rig) in (0, 1)
@@ -120,8 +120,8 @@ class TestPosition:
         ("code", "expected"),
         [(0x4000 | 0x3F00, [0, 1, 0]), (0x8000 | 0x3F00, [1, 0, 1]), (0xFF00, [1, 1, 1]), (0x3F00, [0, 0, 0])],
     )
-    def test_and_or_invert(self, rig: ChipRig, code: int, expected: list[int]) -> None:
-        """XB_IN2 on E4 is input A of event 0, which is led to TA2: passed, inverted, forced to 1 and to 0."""
+    def test_the_aoi_passes_inverts_and_forces(self, rig: ChipRig, code: int, expected: list[int]) -> None:
+        """XB_IN2 on E4 is input A of event 0, which is connected to TA2: passed, inverted, forced to 1 and to 0."""
         rig.write_all({"GPIOE_PER": 0x0010, "SIM_GPSEL": 0x0100, "SIM_IPS0": 0x0400, "XBARB_SEL0": 14})
         rig.write_all({"AOI_BFCRT01_0": code, "XBARA_SEL25": 46 << 8, "TMRA2_CTRL": 0x0100})
         seen = []
@@ -130,10 +130,10 @@ class TestPosition:
             seen.append(rig.read("TMRA2_SCTRL") >> 8 & 1)
         assert seen == expected
 
-    def test_inputs_from_the_crossbar(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_inputs_can_come_from_the_crossbar(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("SIM_IPS0", 0x0300)
         encoder.turn(8)
-        assert count(rig) == 0  # nothing leads there
+        assert count(rig) == 0  # not connected
         rig.write("GPIOE_PER", 0x0030)
         rig.write("SIM_GPSEL", 0x0500)  # E4, E5: XB_IN2, XB_IN3
         rig.write("XBARA_SEL24", 2 << 8)  # TA0_IN
@@ -152,7 +152,7 @@ class TestPosition:
         other.turn(-6)
         assert (count(rig), signed(rig.read("TMRB0_CNTR"))) == (5, -6)
 
-    def test_filter_swallows_what_is_shorter(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_filter_suppresses_shorter_pulses(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA0_FILT", 0x0105)  # 4 samples, 5 clocks apart, on input 0
         rig.write("TMRA1_FILT", 0x0105)
         rig.pin("C3", True)
@@ -170,7 +170,7 @@ class TestPosition:
 
 class TestIndex:
     def test_one_pulse_per_turn(self, rig: ChipRig, encoder: Encoder) -> None:
-        """DRM F13: OFLAG, set on compare, cleared on the next B edge, clocks TMRA2, which only ever counts up."""
+        """DRM F13: OFLAG, set on compare, cleared on the next B edge, clocks TMRA2, which counts up only."""
         encoder.turn(3999 + 2 * 4000, 5)
         assert rig.read("TMRA2_CNTR") == 3
         encoder.turn(-3 * 4000 - 3997, 5)
@@ -186,8 +186,8 @@ class TestIndex:
         encoder.turn(10, 5)
         assert rig.read("TMRA2_CNTR") == 2
 
-    def test_set_and_never_cleared(self, rig: ChipRig, encoder: Encoder) -> None:
-        """OUTMODE 2 instead of 5: after the first turn OFLAG stays set, no further turn is seen."""
+    def test_an_output_that_is_never_cleared_counts_one_revolution(self, rig: ChipRig, encoder: Encoder) -> None:
+        """OUTMODE 2 instead of 5: after the first revolution OFLAG stays set, so no further revolution is counted."""
         rig.write("TMRA0_CTRL", 0x80A2)
         encoder.turn(3999 + 2 * 4000, 5)
         assert rig.read("TMRA2_CNTR") == 1
@@ -213,7 +213,7 @@ class TestIndex:
 
 
 class TestTime:
-    def test_bus_over_128(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_the_time_stamp_counts_the_bus_clock_over_128(self, rig: ChipRig, encoder: Encoder) -> None:
         begin, clock = rig.read("TMRA1_CNTR"), rig.now
         rig.step(1_000_000)
         assert rig.read("TMRA1_CNTR") - begin == rig.now // TICK - clock // TICK
@@ -241,7 +241,7 @@ class TestTime:
         encoder.turn(4)
         assert rig.read("TMRA0_CAPT") == 28
 
-    def test_one_edge_only(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_the_capture_mode_selects_the_edge(self, rig: ChipRig, encoder: Encoder) -> None:
         for mode, expected in ((0x0040, 2), (0x0080, 4), (0x0000, 0)):
             rig.write("TMRA0_CNTR", 0)
             rig.write("TMRA0_CAPT", 0)
@@ -250,7 +250,7 @@ class TestTime:
             assert rig.read("TMRA0_CAPT") == expected
 
     def test_reload_on_capture(self, rig: ChipRig, encoder: Encoder) -> None:
-        """TMRA3 is the age of the last captured edge, its capture the time between two."""
+        """TMRA3 counts the age of the last captured edge; its capture is the interval between two edges."""
         encoder.turn(2)
         rig.write("TMRA3_SCTRL", 0x00C0)
         assert rig.read("TMRA3_CNTR") == 0
@@ -260,7 +260,7 @@ class TestTime:
         encoder.turn(2, 50 * TICK)  # IEF blocks the capture, and the reload with it
         assert rig.read("TMRA3_CNTR") == 100
 
-    def test_without_roc_the_age_is_none(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_without_roc_the_timer_does_not_measure_the_age(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA3_CSCTRL", 0)
         rig.step(30 * TICK)
         encoder.turn(2)
@@ -335,21 +335,21 @@ WATCHED = ("TMRA0_CNTR", "TMRA0_CAPT", "TMRA0_SCTRL", "TMRA0_CSCTRL", "TMRA1_CAP
 
 
 class TestDeferrableEdges:
-    """Edges that only count may be handed over late, without a visible difference."""
+    """Edges that are only counted may be processed later without a visible difference."""
 
     @staticmethod
     def edges(chance: random.Random, start: int, count: int) -> list[tuple[int, str, bool]]:
-        """A shaft that turns, back now and then, with edges up to some filter times apart and lines that flicker."""
+        """Edges of a shaft that sometimes reverses, with intervals down to the filter time and short glitches."""
         edges: list[tuple[int, str, bool]] = []
-        clock, position, way = start, 0, 1
+        clock, position, direction = start, 0, 1
         levels = {"C3": False, "C4": False}
         while len(edges) < count:
             clock += chance.choice((chance.randrange(1, 40), chance.randrange(40, 400), chance.randrange(400, 3000)))
             if chance.random() < 0.05:
-                way = -way
-            position += way
-            name = ("C4", "C3")[(position + (way < 0)) % 2]
-            if chance.random() < 0.05:  # and back before the filter lets it through
+                direction = -direction
+            position += direction
+            name = ("C4", "C3")[(position + (direction < 0)) % 2]
+            if chance.random() < 0.05:  # a glitch shorter than the filter
                 edges += [(clock, name, not levels[name]), (clock + 7, name, levels[name])]
                 clock += 8
             levels[name] = not levels[name]
@@ -375,14 +375,14 @@ class TestDeferrableEdges:
         seen: list[Any] = []
         while rig.now < end:
             rig.step(chance.randrange(1, 20_000))
-            what = chance.random()
-            if what < 0.2:
+            action = chance.random()
+            if action < 0.2:
                 rig.write("TMRA0_SCTRL", chance.choice((0x00C0, 0x04C0)))  # captures anew, with an interrupt or without
-            elif what < 0.3:
+            elif action < 0.3:
                 rig.write("TMRA0_CNTR", chance.choice((3990, -3990, 5, 100)))
-            elif what < 0.35:
+            elif action < 0.35:
                 rig.write("TMRA0_CTRL", chance.choice((0x80A5, 0x80B5)))
-            elif what < 0.4:
+            elif action < 0.4:
                 rig.write("TMRA0_ENBL", chance.choice((0xF, 0xE)))
             name = chance.choice(WATCHED)
             seen.append((rig.now, name, rig.read(name)))
@@ -390,7 +390,7 @@ class TestDeferrableEdges:
         return [*seen, *calls, *rig.events("capture", "enter")], rig.edges_deferred
 
     @pytest.mark.parametrize("filters", [FILTERS, {}], ids=["filter", "no filter"])
-    def test_edges_that_come_late_are_counted_like_others(self, registers_c: Native, filters: dict[str, int]) -> None:
+    def test_deferred_edges_are_counted_like_others(self, registers_c: Native, filters: dict[str, int]) -> None:
         edges_deferred = 0
         for seed in range(20):
             prompt, none = self.run(registers_c, seed, filters, defers_edges=False)
@@ -402,7 +402,7 @@ class TestDeferrableEdges:
 
     @staticmethod
     def at(rig: ChipRig, clocks: int, values: dict[str, int]) -> None:
-        """Write them later, in a handler, so that nothing before has looked at the timers."""
+        """Write the registers later in a handler, so that the timers are not accessed before."""
 
         def handler() -> None:
             rig.write_all(values)
@@ -417,9 +417,7 @@ class TestDeferrableEdges:
     @pytest.mark.parametrize(
         "change", [{"SIM_IPS0": 3 << 8}, {"SIM_GPSCL": 1 << 4 | 1 << 6 | 1 << 8}, {"GPIOC_PER": 0}, {"TMRA0_ENBL": 0}]
     )
-    def test_inputs_that_are_led_elsewhere_have_counted_until_then(
-        self, registers_c: Native, change: dict[str, int]
-    ) -> None:
+    def test_a_reconnected_input_counts_its_edges_until_then(self, registers_c: Native, change: dict[str, int]) -> None:
         counts = []
         for defers_edges in (False, True):
             rig = ChipRig(registers_c)
@@ -432,8 +430,8 @@ class TestDeferrableEdges:
             counts.append(rig.read("TMRA0_CNTR"))
         assert counts[0] == counts[1] != 100
 
-    def test_deferred_input_that_becomes_relevant(self, registers_c: Native) -> None:
-        """C4 goes from a counter to the crossbar, and from there to a channel that captures."""
+    def test_a_deferred_input_that_becomes_relevant_is_captured(self, registers_c: Native) -> None:
+        """C4 is switched from a counter to the crossbar, which connects it to a capturing channel."""
         captures = []
         for defers_edges in (False, True):
             rig = ChipRig(registers_c)
@@ -463,18 +461,18 @@ class TestDeferrableEdges:
         assert deferrable() == 0
         encoder.turn(2)
         assert deferrable() == 100
-        rig.write("SIM_GPSCL", 1 << 4 | 1 << 6)  # no timer any more
+        rig.write("SIM_GPSCL", 1 << 4 | 1 << 6)  # not connected to a timer
         assert deferrable() == 0
 
 
 @pytest.mark.parametrize("mode", [3, 5, 6])
-def test_count_modes_that_are_not_modelled(rig: ChipRig, mode: int) -> None:
+def test_count_modes_that_are_not_modelled_are_errors(rig: ChipRig, mode: int) -> None:
     with pytest.raises(ChipError, match=r"TMRA1 CTRL = [0-9A-F]{4}h: this count mode is not modelled"):
         rig.write("TMRA1_CTRL", mode << 13 | 0x1E80)
 
 
 def test_an_output_reaches_an_input_through_its_filter(rig: ChipRig) -> None:
-    """OFLAG of TMRB1, toggled after 99 clocks, led to TB0 through the crossbar: 20 clocks later it is captured."""
+    """OFLAG of TMRB1, toggled after 99 clocks and connected to TB0 by the crossbar, is captured 20 clocks later."""
     rig.write_all({"SIM_IPS0": 0x1000, "XBARA_SEL17": 17, "TMRB0_FILT": 0x0105, "TMRB2_SCTRL": 0x0040})
     rig.write_all({"TMRB2_CTRL": 0x3000, "TMRB1_COMP1": 99, "TMRB1_CTRL": 0x3003})
     start = rig.now

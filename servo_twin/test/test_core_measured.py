@@ -1,4 +1,4 @@
-"""Widths of the pulses at the scope pins become what an instruction costs."""
+"""Cycles per instruction from the pulse widths measured at the scope pins."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_only_the_one_number_of_the_file_changes() -> None:
 
 
 def test_measured_widths_are_written_to_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Those of the virtual board, a quarter longer; and what it says of itself then is what was measured."""
+    """Widths 25 % above those of the virtual board; with the new number it reports the measured widths."""
     core, measured = tmp_path / "core.toml", tmp_path / "measured.toml"
     shutil.copy(DEFAULT_FILE, core)
     counts = instructions(core, PlantConfig.load(), seed=1)
@@ -62,9 +62,9 @@ def test_measured_widths_are_written_to_the_file(tmp_path: Path, capsys: pytest.
     assert "cycles_per_instruction = 2.50" in capsys.readouterr().out
     assert "cycles_per_instruction = 2.50" in core.read_text(encoding="utf-8")
     assert main(["core-speed", "--core", str(core)]) == 0
-    said = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
-    assert {(row[0], row[1]) for row in said} == {(s, h) for s, rows in counts.items() for h in rows}
-    for state, handler, _, width, *_ in said:
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert {(row[0], row[1]) for row in printed} == {(s, h) for s, rows in counts.items() for h in rows}
+    for state, handler, _, width, *_ in printed:
         assert float(width) == pytest.approx(0.025 * counts[state][handler], rel=0.02)
 
 

@@ -380,7 +380,7 @@ def test_calibration_fails_with_too_little_motion() -> None:
 # ---- as text ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_finding_as_text() -> None:
+def test_the_text_of_a_finding_has_its_value_and_times() -> None:
     finding = Finding(Kind.SINGLE, ("friction",), 1.1, 0.9, 1.3, 16000, 38400)
     text = finding_text(finding, 48000, 1_700_000_003_000_000_000)
     assert text.startswith("friction 2.1 times (1.9..2.3) since ")
@@ -390,7 +390,7 @@ def test_a_finding_as_text() -> None:
     assert findings_text([], ["axis1", "axis2"], 0, 0) == NOTHING_CHANGED
 
 
-def test_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_detections_and_errors(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["diagnose", "--trials", "1", "--change", "flux=1.15", "--workers", "1"]) == 0
     shown = capsys.readouterr().out
     assert "flux              1      1" in shown

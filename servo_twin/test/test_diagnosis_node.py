@@ -1,4 +1,4 @@
-"""Diagnosis by the node of the twin, under real rclpy."""
+"""Diagnosis by the twin node, with rclpy."""
 
 from __future__ import annotations
 

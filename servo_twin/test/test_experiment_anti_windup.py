@@ -1,4 +1,4 @@
-"""F21 and F22: anti-windup makes the difference, and the bounds see it."""
+"""F21 and F22: effect of the anti-windup; missing anti-windup violates the bounds."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def test_missing_anti_windup_violates_the_bounds(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(anti_windup, "respond", respond)
     outcome = anti_windup.run(PlantConfig.load(), seed=3)
     wrong = {row.name for row in outcome.rows if not row.agrees}
-    assert wrong >= ({"peak without", "lag without"} if swapped else {"peak with", "lag with"})
+    how = "without" if swapped else "with"
+    assert wrong >= {f"peak {how} anti-windup", f"lag {how} anti-windup"}
 
 
 def test_depth_of_the_reference_shaft_is_one_ampere() -> None:
@@ -34,7 +35,7 @@ def test_depth_of_the_reference_shaft_is_one_ampere() -> None:
 
 @pytest.mark.parametrize("inertia", [0.4e-5, 2.4e-5])
 def test_anti_windup_agrees_with_another_inertia(inertia: float) -> None:
-    """Frequency and limit go with the inertia that the loop is not tuned for."""
+    """Frequency and limit are scaled with the inertia, for which the loop is not tuned."""
     outcome = anti_windup.run(PlantConfig.load().with_axis(0, inertia=inertia), seed=5)
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 

@@ -1,4 +1,4 @@
-"""Braking: the bus stays below its limit, the budget holds, the short's current is that of the formula."""
+"""Braking: bus voltage below its limit, energy budget of the resistor, current of the winding short."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_agrees_with_other_motors_and_a_tenth_of_the_capacitor() -> None:
 
 
 def test_missing_current_reduction_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a limit means below where the fold-back begins."""
+    """The limit of the bus voltage is set below the start of the fold-back."""
     monkeypatch.setattr(braking, "OVER_VOLTAGE", 28.0)
     assert "no resistor: highest bus voltage" in wrong(PlantConfig.load())
 
@@ -42,7 +42,7 @@ def test_missing_resistor_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_short_current_follows_the_formula() -> None:
-    """At 8.25 A the short is refused above some 1450 rpm, as the slide has it."""
+    """At 8.25 A the short is refused above about 1450 rpm, as on the slide."""
     axis = PlantConfig.load().axes[0]
     wound = [braking.short_current(axis, 100.0, drops=drops) for drops in (False, True)]
     assert wound[0] == pytest.approx(200.0 * axis.psi_m / math.hypot(axis.r_s, 200.0 * 0.4575e-3))

@@ -1,4 +1,4 @@
-"""A rippling bus: the compensation keeps it out of the current, and its absence is noticed."""
+"""Ripple of the bus voltage: suppressed by the compensation; missing compensation violates the bounds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ def test_missing_compensation_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(bus_ripple, "turn", turn)
     wrong = {row.name for row in bus_ripple.run(PlantConfig.load(), seed=9).rows if not row.agrees}
-    assert wrong == {f"axis{n}, current ripple{what}" for n in (1, 2) for what in (", with over without", " with")}
+    assert wrong == {
+        f"axis{n}, current ripple{what} compensation" for n in (1, 2) for what in (" with / without", " with")
+    }
 
 
 def test_steady_bus_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""A few trials of the fault campaign; a thorough one is an experiment of some minutes."""
+"""Some trials of the fault campaign; the full campaign is an experiment of some minutes."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_worn_shaft_has_backlash_and_causes_no_fault() -> None:
 
 @pytest.mark.slow
 def test_trials_with_a_separately_configured_firmware() -> None:
-    """Two motors that are not those of the plant, on one board, which is tuned and compiled here."""
+    """Two motors that differ from the plant, on one board, whose firmware is tuned and compiled here."""
     results = [run_trial(draw(PLANT, 4, number, OTHERS[:2])) for number in range(20)]
     assert not [str(result) for result in results if result.failed]
     assert {result.trial.motor.name for result in results} == set(OTHERS[:2])
@@ -87,7 +87,7 @@ def test_trials_with_a_separately_configured_firmware() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("motor", "seed", "number"), [("fast", 4, 9)])
 def test_stopping_shaft_is_not_detected_as_turning(motor: str, seed: int, number: int) -> None:
-    """Without current, drops and dead time of the switching plant echo the voltage that is to hold the current off."""
+    """At zero current, voltage drops and dead time of the switching plant reproduce the applied voltage."""
     group = OTHERS[:2] if motor in OTHERS[:2] else OTHERS[2:]
     trial = draw(PLANT, seed, number, group)
     assert (trial.motor.name, trial.state.name, trial.fault.kind) == (motor, "observer, manoeuvres", NO_FAULT)
@@ -98,7 +98,7 @@ def test_stopping_shaft_is_not_detected_as_turning(motor: str, seed: int, number
 
 @pytest.mark.slow
 def test_voltage_of_a_sensorless_start_is_not_detected_as_lost_phase() -> None:
-    """The start-up's frame is not that of the rotor; its voltage contains the back-EMF."""
+    """The reference frame of the start-up is not that of the rotor, so its voltage contains the back-EMF."""
     trial = draw(PLANT, 3, 44, OTHERS[2:])
     assert (trial.motor.name, trial.state.name, trial.fault.kind) == ("ipm", "observer, manoeuvres", NO_FAULT)
     with at_level("registers"):
@@ -108,11 +108,11 @@ def test_voltage_of_a_sensorless_start_is_not_detected_as_lost_phase() -> None:
 
 @pytest.mark.xfail(
     strict=False,
-    reason="ENCODER_LOST at 0.62 s: a false alarm that comes and goes with the lengths of the handlers",
+    reason="ENCODER_LOST at 0.62 s: a false alarm that depends on the durations of the handlers",
 )
 @pytest.mark.slow
 def test_integrated_noise_is_not_detected_as_back_emf() -> None:
-    """Of a motor whose resistance takes more voltage than its back-EMF does, with three times the usual noise."""
+    """A motor whose resistive voltage exceeds its back-EMF, with three times the usual noise."""
     trial = draw(PLANT, 71, 9)
     assert (trial.motor.name, trial.state.name, trial.fault.kind) == ("gimbal", "manoeuvres", NO_FAULT)
     with at_level("registers"):
@@ -121,7 +121,7 @@ def test_integrated_noise_is_not_detected_as_back_emf() -> None:
 
 
 def test_dead_encoder_at_speed_is_not_detected_as_lost_phase() -> None:
-    """The current stays behind what is asked of one phase, for the angle that it is asked at no longer turns."""
+    """The current of one phase stays below its set-point because the measured angle no longer changes."""
     make, _ = INJECTED_FAULTS["encoder plug"]
     trial = draw(PLANT, 71, 97)
     assert (trial.motor.name, trial.state.name) == ("axis1", "torque")
@@ -149,8 +149,8 @@ def test_permitted_faults_of_a_slip() -> None:
         assert late.expected_faults(seen) == (
             ("ANGLE_MISMATCH",) if late.move_if_undetected else (NOTHING, "ANGLE_MISMATCH")
         )
-    assert 20 < large < 45  # of 30 to 180 degrees, what is beyond 90
-    for state in ("rotor search", "coasting"):  # it may be looked for again
+    assert 20 < large < 45  # slips of 30 to 180 degrees: those above 90
+    for state in ("rotor search", "coasting"):  # the rotor may be searched again
         assert slip(state, rng).expected_faults(seen) == (NOTHING, "ANGLE_MISMATCH", "ROTOR_SEARCH")
 
 
@@ -166,7 +166,7 @@ def test_slip_is_reported_with_its_fault(state: str) -> None:
 
 
 def test_drawn_speeds_are_above_the_minimum_of_the_start_up() -> None:
-    """0.04 of the limit in the defaults, 0.16 for the tiny motor."""
+    """0.04 of the speed limit by default, 0.16 for the smallest motor."""
     assert Motor.of("axis1", PLANT).slowest == pytest.approx(1.1 * 0.04)
     assert Motor.of("fast", PLANT).slowest == pytest.approx(1.1 * 0.16)
 
@@ -181,7 +181,7 @@ def test_wrong_fault_fails_the_trial() -> None:
 
 
 def test_disabled_fault_fails_the_trial() -> None:
-    """With the check switched off, the shaft goes on with a phase less."""
+    """With the check disabled, the motor continues with two phases."""
     trial = open_phase("PHASE_LOST")
 
     def deaf(bench: Bench, rng: random.Random) -> Script:
@@ -201,7 +201,7 @@ def test_trial_is_determined_by_its_number() -> None:
 
 
 def test_trial_prints_the_command_that_repeats_it() -> None:
-    """Other motors to choose from make it another trial."""
+    """Another set of motors gives another trial."""
     result = Result(draw(PLANT, 1, 7), NOTHING, (), None, 0.0, 0.0, ())
     assert str(result).startswith("--seed 1 --trial 7: ")
     among = dataclasses.replace(result, trial=draw(PLANT, 1, 7, OWN))

@@ -1,4 +1,4 @@
-"""A few of the cases of the fault matrix; all of them are an experiment of some minutes."""
+"""Some cases of the fault matrix; the full matrix is an experiment of some minutes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_fault_is_reported_in_time_without_motion(name: str, state: str) -> None
 
 
 def test_disabled_fault_counts_as_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the check switched off, the shaft goes on with a phase less."""
+    """With the check disabled, the motor continues with two phases."""
     genuine = fault_matrix.STATES["100 rad/s"]
 
     def deaf(board: Board) -> None:

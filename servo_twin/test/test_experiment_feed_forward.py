@@ -1,4 +1,4 @@
-"""Feed-forward helps, and the figures notice when it is not there."""
+"""Feed-forward improves the figures; without it the bounds are violated."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, mi
     found = rows()
     for axis in (1, 2):
         if missing == "SPEED_FORWARD":
-            assert not found[f"axis{axis} 1 turns, following error, speed over none"]
+            assert not found[f"axis{axis} 1 turns, following error, speed / none"]
         else:
             assert not found[f"axis{axis} 1 turns, following error, speed, acceleration"]
 

@@ -1,4 +1,4 @@
-"""What every experiment shares: bounds, tables, pictures, the summary and the command line."""
+"""Common parts of the experiments: bounds, tables, pictures, summary, command line."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TestBounds:
         assert all(bound.holds(value) for value in inside)
         assert not any(bound.holds(value) for value in outside)
 
-    def test_one_wrong_row_fails_the_outcome(self) -> None:
+    def test_one_row_outside_its_bound_fails_the_outcome(self) -> None:
         assert outcome("a", 0.5, 1.0).agrees
         assert not outcome("a", 0.5, 1.1).agrees
         assert not outcome("a", 0.5, None).agrees
@@ -97,7 +97,7 @@ class TestLevels:
     def test_two_levels_agree_within_bound_and_difference(
         self, ideal: float, registers: float | None, agrees: bool
     ) -> None:
-        """With the bound at each level, and with each other."""
+        """Each level is within the bound, and the levels agree within the permitted difference."""
         pair = levels.pairs(outcome("a", ideal), outcome("a", registers))[0]
         assert pair.agrees is agrees
         assert pair.difference == (None if registers is None else pytest.approx(registers - ideal))
@@ -172,7 +172,7 @@ class TestCommand:
     def test_level_of_the_boards(
         self, chosen: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
-        """By the option, which the environment does not overrule; and it is written down."""
+        """The option has precedence over the environment, and the summary contains the level."""
         monkeypatch.setenv("SERVO_TWIN_LEVEL", "ideal" if chosen == "registers" else "registers")
 
         def run(plant: PlantConfig, seed: int) -> Outcome:

@@ -1,4 +1,4 @@
-"""Friction compensation helps as much as its nominal value is right, and the figures notice when it is not there."""
+"""Friction compensation: its effect depends on the nominal value; without it the bounds are violated."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_correct_nominal_value_agrees() -> None:
 
 @pytest.mark.usefixtures("level")
 def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By every figure, with twice the nominal friction: what a start loses to less, the encoder may hide."""
+    """All six figures, at twice the nominal friction: the effect of less may be below the encoder resolution."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
     genuine, nominals = rig.features, nominal_shafts(PlantConfig.load(), 5)
 
@@ -42,12 +42,12 @@ def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_wrong_nominal_value_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice the friction where the bounds expect the nominal value."""
+    """Twice the friction, with bounds for the nominal value."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
     monkeypatch.setattr(friction, "uncompensated", lambda times: 0.0)
     assert len(wrong()) == 6
 
 
-@pytest.mark.parametrize(("times", "left"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
-def test_uncompensated_friction(times: float, left: float) -> None:
-    assert friction.uncompensated(times) == pytest.approx(left)
+@pytest.mark.parametrize(("times", "expected"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
+def test_uncompensated_friction_is_calculated(times: float, expected: float) -> None:
+    assert friction.uncompensated(times) == pytest.approx(expected)

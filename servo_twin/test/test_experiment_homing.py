@@ -1,4 +1,4 @@
-"""Homing finds hard stops of any stiffness; figures that are wrong are noticed."""
+"""Homing finds hard stops of any stiffness; wrong figures violate the bounds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def test_every_figure_is_within_its_bound() -> None:
 
 
 def test_wrong_position_of_stops_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if the place of the stops were wrong by ten counts."""
+    """The position of the stops is wrong by ten counts."""
     zeros = homing._zeros
     monkeypatch.setattr(homing, "_zeros", lambda board: [zero + 10 * rig.COUNT for zero in zeros(board)])
     (first, second) = homing.contacts(PlantConfig.load(), 6, "steel", 0)

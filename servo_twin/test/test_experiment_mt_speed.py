@@ -30,22 +30,22 @@ def test_worked_example_gives_exact_fractions() -> None:
 
 @pytest.mark.usefixtures("level")
 def test_shaft_follows_the_given_speed(plant: PlantConfig) -> None:
-    turned = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
-    # the switching plant takes viscous friction as constant within its steps of some 30 us
-    assert turned.omega == pytest.approx(10.0, rel=1e-4)
+    motion = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
+    # the switching plant holds the viscous friction constant within its steps of about 30 us
+    assert motion.omega == pytest.approx(10.0, rel=1e-4)
 
 
 def test_edges_of_a_steady_shaft(plant: PlantConfig) -> None:
     speed = 100.0 * RPM
-    turned = mt_speed.drive(plant, 1, lambda k: speed, 0.1, enhanced=True)
-    edges = mt_speed.edges_of(turned, mt_speed.start_angle(plant, 1))
+    motion = mt_speed.drive(plant, 1, lambda k: speed, 0.1, enhanced=True)
+    edges = mt_speed.edges_of(motion, mt_speed.start_angle(plant, 1))
     assert np.diff(edges.time[5:]) == pytest.approx(COUNT / speed, rel=1e-4)
-    assert abs(edges.number.size - turned.position[-1]) <= 1
+    assert abs(edges.number.size - motion.position[-1]) <= 1
     assert (edges.of_b().number % 2 == 0).all()
 
 
 def test_plain_method_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
-    """Enhanced M/T switched off: it stagnates."""
+    """With the enhanced M/T method disabled the speed stagnates."""
     genuine = mt_speed.drive
 
     def drive(

@@ -1,4 +1,4 @@
-"""F23 and F24: an S curve is an S curve, and a ramp is not taken for one."""
+"""F23 and F24: the S curve is recognised, a ramp is not."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_low_damping_violates_the_bounds(recorded: tuple[Recording, float, int])
     recording, speed, distance = recorded
     swing = 0.02 * distance * np.sin(np.pi * np.clip((recording.time - distance / speed) / 0.4, 0.0, 1.0))
     names = wrong(recorded, np.round(recording.position_ref + swing))
-    assert {"overshoot of the S curve", "steps backwards", "S curve against E38"} <= names
+    assert {"overshoot of the S curve", "steps backwards", "deviation of the S curve from E38"} <= names
 
 
 @pytest.mark.parametrize("omega_n", [30.0, 100.0, 250.0])

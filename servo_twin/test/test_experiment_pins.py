@@ -1,4 +1,4 @@
-"""Loads do not drop, inputs stop what they should; what is missing is noticed."""
+"""The brake holds loads and inputs stop motions; missing brakes and inputs violate the bounds."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def test_unconfigured_pins_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -
     assert not pins.open_enable(plant, 2)[1]
     with pytest.raises(SimulationError, match="switches"):
         pins.overrun(plant, 2)
-    said = pins.cut_wires(plant, 2)
-    assert not said["limit_max, holding"]
-    assert not said["enable, at rest: refused without a fault"]
+    results = pins.cut_wires(plant, 2)
+    assert not results["limit_max, holding"]
+    assert not results["enable, at rest: refused without a fault"]
 
 
 def test_load_drops_with_a_brake_slower_than_nominal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The time that the configuration waits matters: 30 ms of it are too little for a brake that takes 90 ms."""
+    """The configured waiting time of 30 ms is too short for a brake that takes 90 ms."""
     monkeypatch.setattr(pins, "CLOSE_TIME", 0.09)
     found = pins.measure_drops(PlantConfig.load(), 2, math.pi / 3)
     assert min(disabled for _, _, disabled, _ in found.drops) > pins.TRANSFER_DROP_MAX

@@ -1,4 +1,4 @@
-"""Each part of the plant shows in the drive as its equation says, and its figure notices when the part is not there."""
+"""Each effect of the plant agrees with its equation; a missing effect violates its bound."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def test_every_figure_is_within_its_bound() -> None:
 UNSEEN = {
     "lost motion of the load": {"backlash": 0.0},
     "ripple of the true speed, once per turn": {"disc_eccentricity": 0.0},
-    "current that answers the cogging": {"cogging_torque": 0.0},
-    "L_q at the saturation's current": {"i_saturation_q": 0.0},
+    "current that compensates the cogging": {"cogging_torque": 0.0},
+    "L_q at the saturation current": {"i_saturation_q": 0.0},
     "R of a warm winding": {"winding_warms": 0.0},
     "psi_m of a warm magnet": {"magnet_coefficient": 0.0},
 }
@@ -30,7 +30,7 @@ UNSEEN = {
 
 @pytest.mark.parametrize("name", UNSEEN)
 def test_missing_effect_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """The equation still expects it."""
+    """The equation still contains the effect."""
     effect = next(effect for effect in EFFECTS if effect.name == name)
 
     def measure(board: Board, axis: int) -> plant_effects.Comparison:

@@ -1,4 +1,4 @@
-"""What a plant can do, the controller's nominal values, and runs that end in a fault."""
+"""Limits of a plant, nominal values of the controller, and runs that end in a fault."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_nominal_shaft_with_a_stronger_motor(plant: PlantConfig) -> None:
 
 
 def test_nominal_shaft_is_measured_with_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the current limit hides the inertia; the friction shows in the large one."""
+    """Inertia from a smaller step where the current limit hides it; friction from the large step."""
     genuine, steps = plant_limits._first_current, []
 
     def first_current(plant: PlantConfig, seed: int, switch: str | None, speed: float) -> list[float]:
@@ -62,7 +62,9 @@ def test_nominal_shaft_is_measured_with_a_smaller_step(plant: PlantConfig, monke
     assert min(steps) == 0.5
 
 
-def test_the_nominal_shaft_is_hidden_by_the_current_limit(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_nominal_shaft_is_not_measurable_with_a_low_current_limit(
+    plant: PlantConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(plant_limits, "PROBE_SPEED", 20.0)
     monkeypatch.setattr(plant_limits, "PROBE_HALVINGS", 1)
     with pytest.raises(SimulationError, match="current limit"):
@@ -72,7 +74,7 @@ def test_the_nominal_shaft_is_hidden_by_the_current_limit(plant: PlantConfig, mo
 def test_path_needs_half_of_the_current(plant: PlantConfig) -> None:
     for entry, demand in zip(plant.axes, path_demands(plant, 3), strict=True):
         needed = entry.inertia * demand.acceleration * SPEED / entry.torque_constant
-        # Less by what the ramp takes to come up to its speed at param.acceleration_limit's maximum.
+        # Less by the time in which the ramp reaches its speed with the largest param.acceleration_limit.
         assert needed == pytest.approx(0.5 * demand.current, rel=0.04)
 
 
@@ -129,7 +131,7 @@ def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: 
                 record(board, [1], 1.0)
 
 
-def test_true_shaft_in_counts(plant: PlantConfig) -> None:
+def test_the_true_shaft_angle_is_recorded_in_counts(plant: PlantConfig) -> None:
     with spinning(plant, 3) as board:
         choose_mode(board, 0, "SPEED")
         command_speed(board, 0, 10.0)
@@ -142,7 +144,7 @@ def test_true_shaft_in_counts(plant: PlantConfig) -> None:
 
 @pytest.mark.parametrize("beyond", [-0.1, 0.1])
 def test_true_position_tolerates_uneven_edges(beyond: float) -> None:
-    """At the first tick an edge that is off its place by a tenth of a count makes the shaft look one count away."""
+    """At the first tick an edge with an error of a tenth of a count seems to be an error of one count."""
     ticks = np.arange(200)
     theta = COUNT * np.where(ticks == 0, 7.0 - beyond, 7.0 + 3.0 * np.sin(ticks / 30.0) + 0.5)
     position = np.floor(theta / COUNT) + 100.0

@@ -1,4 +1,4 @@
-"""Position moves: no overshoot, no limit cycle; and the figures notice when there is one."""
+"""Position moves: no overshoot, no limit cycle; a limit cycle violates the bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""F15 and F16: the rotor search finds what it has to find, and the figures notice when it does not."""
+"""F15 and F16: the rotor search finds the angle and reports faults; wrong results violate the bounds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def outcome(plant: PlantConfig) -> Outcome:
 
 
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fewer angles; what is tested here shows at any of them."""
+    """Fewer start angles; the tested behaviour occurs at each angle."""
     monkeypatch.setattr(rotor_search, "EVERY", 180)
     monkeypatch.setattr(rotor_search, "FAULT_EVERY", 240)
     monkeypatch.setattr(rotor_search, "DISTURBED_AT", (0.1,))
@@ -42,19 +42,19 @@ def test_picture_of_f16_has_every_vector(outcome: Outcome) -> None:
         searches = outcome.row(f"axis{axis + 1} from 30 degrees, searches").measured
         assert searches is not None
         shown = curve.y[~np.isnan(curve.y)]
-        assert abs(shown[0]) < 25.0  # the first vector stands at 0 ..
+        assert abs(shown[0]) < 25.0  # the first vector is at 0 ..
         assert abs(shown[-1] - 30.0) < 3.0  # .. and the last one close to the rotor
     assert np.ptp(outcome.panels[0].curves[0].y) > 3.0
 
 
-def test_a_rotor_at_180_degrees_needs_the_second_try(plant: PlantConfig) -> None:
+def test_a_rotor_at_180_degrees_needs_the_second_vector(plant: PlantConfig) -> None:
     for search in rotor_search.find(rotor_search.start_at(plant, 180.0), 1):
         assert search.error is not None
         assert abs(search.error) < 1.7
-        assert search.current > 3.9  # the first vector went to its limit in vain
+        assert search.current > 3.9  # the first vector reached its current limit without a movement
 
 
-def test_bound_of_the_error(plant: PlantConfig) -> None:
+def test_the_bound_of_the_error_depends_on_the_current(plant: PlantConfig) -> None:
     axis = plant.axes[0]
     assert rotor_search.error_bound(axis, 4.0) == pytest.approx(
         0.7 + math.degrees(math.asin(2e-3 / (3 * 0.0154 * 4.0))) + 0.36
@@ -74,8 +74,8 @@ def test_moving_shaft_is_not_a_blocked_shaft(monkeypatch: pytest.MonkeyPatch, pl
     few(monkeypatch)
     monkeypatch.setattr(Board, "lock_shaft", lambda self, axis, locked=True: None)
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
-    assert not rows["axis1 shaft held: ROTOR_SEARCH"]
-    assert not rows["axis1 shaft held under way: ROTOR_SEARCH"]
+    assert not rows["axis1 shaft blocked: ROTOR_SEARCH"]
+    assert not rows["axis1 shaft blocked during the search: ROTOR_SEARCH"]
     assert rows["axis1 encoder unplugged: ENCODER_LOST"]
 
 
@@ -106,7 +106,7 @@ def test_one_axis_may_fail_alone(plant: PlantConfig, search_fault: SearchFault) 
 
 
 def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantConfig) -> None:
-    """The host may switch it off; the search compares voltages and does not let it."""
+    """The search compares voltages, so it compensates the dead time even if the host has disabled the compensation."""
     for k, search_fault in enumerate((rotor_search.LOCKED, rotor_search.UNPLUGGED)):
         with Board(rotor_search.start_at(plant, 75.0), seed=k) as board:
             board.write_raw("param.features", [0, 0])
@@ -115,5 +115,5 @@ def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantCon
                 search_fault.inject(board, axis)
             board.write("cmd.enable", [1, 1])
             board.run(1.2)
-            wanted = board.catalogue.flag("faults", search_fault.fault).mask
-            assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [wanted]
+            expected = board.catalogue.flag("faults", search_fault.fault).mask
+            assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [expected]

@@ -1,4 +1,4 @@
-"""The experiments without an encoder: they agree with the drive as it is, and their figures notice when it is not."""
+"""The sensorless experiments: the drive agrees with the bounds; wrong settings violate them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def wrong(outcome: Outcome) -> list[str]:
 
 
 def trace(speed: NDArray[np.float64], **arrays: Any) -> Trace:
-    """A trace of an observed speed; the rest is still."""
+    """A trace with the given observed speed; all other signals are zero."""
     still = {name: np.zeros(speed.size) for name in Trace.__dataclass_fields__}
     time = TICK * np.arange(1, speed.size + 1)
     return Trace(**(still | {"time": time, "speed": speed} | arrays))
@@ -80,7 +80,7 @@ def test_errors_and_missing_compensation_violate_the_bounds(
     monkeypatch.setattr(observer, "_uncompensated", uncompensated)
     names = wrong(run(observer))
     assert any("largest mean error" in name for name in names)
-    assert any("not made up over made up" in name for name in names)
+    assert any("amplitude without / with compensation" in name for name in names)
 
 
 def test_angle_error_by_calculation() -> None:
@@ -101,7 +101,7 @@ def test_start_up_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start_up, "STARTS", 6)
     outcome = run(start_up)
     assert wrong(outcome) == []
-    assert outcome.row("random starts, success").measured == 100.0
+    assert outcome.row("successful random starts").measured == 100.0
 
 
 def test_start_up_of_a_blocked_shaft_does_not_agree() -> None:
@@ -174,7 +174,7 @@ def test_load_step_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_too_large_load_step_is_detected() -> None:
-    """More than the current can hold: the shaft goes back, and the step before is what was borne."""
+    """The second step exceeds the torque of the current limit, so the shaft reverses; the first step is the result."""
     it = sensorless_load_step.largest_step(PLANT, SEED, 0, 0.1, (0.3, 1.2))
     assert it.torque == pytest.approx(0.3 * 4.0 * PLANT.axes[0].torque_constant, rel=1e-3)
     assert it.end
@@ -185,12 +185,14 @@ def test_too_large_load_step_is_detected() -> None:
 
 def test_variance_detects_noise_and_accepts_a_steady_speed() -> None:
     noise = np.random.default_rng(1).normal(0.0, 30.0, 3000)
-    told = variance_detection_time(trace(noise), 0.0)
-    assert told is not None
-    assert told == pytest.approx((sensorless_stall.SIZE + sensorless_stall.HYSTERESIS) * TICK, rel=0.1)
+    detected = variance_detection_time(trace(noise), 0.0)
+    assert detected is not None
+    assert detected == pytest.approx((sensorless_stall.SIZE + sensorless_stall.HYSTERESIS) * TICK, rel=0.1)
     assert variance_detection_time(trace(np.full(3000, 20.0)), 0.0) is None
     slow = 20.0 + 4.0 * np.sin(2.0 * np.pi * 4.0 * TICK * np.arange(3000))
-    assert variance_detection_time(trace(slow), 0.0) is None, "the blind spot of the reference design"
+    assert variance_detection_time(trace(slow), 0.0) is None, (
+        "not detectable by the variance criterion of the reference design"
+    )
 
 
 def test_stall_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:

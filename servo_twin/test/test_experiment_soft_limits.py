@@ -1,4 +1,4 @@
-"""Soft limits stop the shaft; limits that are not there are noticed."""
+"""Soft limits stop the shaft; missing limits violate the bounds."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def test_disabled_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> 
     for mode in ("position", "speed", "torque"):
         for what in ("overtravel with the feature", "distance to the limit at standstill", "limit flag set"):
             assert f"axis1, position, {mode} mode: {what}" in names
-    assert "axis1, position, a load leans on it: overtravel with the feature" in names
-    assert "axis1, limit set behind the shaft, target farther out: moves" in names
+    assert "axis1, position, load towards the limit: overtravel with the feature" in names
+    assert "axis1, limit set behind the shaft, target further outside: motion" in names
 
 
 def test_unwritten_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:

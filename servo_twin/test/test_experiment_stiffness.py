@@ -1,4 +1,4 @@
-"""A load step is answered; a drive that may not answer is noticed."""
+"""Deflection by a load step; a drive without enough current violates the bounds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_every_figure_is_within_its_bound(plant: PlantConfig) -> None:
 
 
 def test_too_small_current_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
-    """Less current than the load needs: the shaft is carried away."""
+    """The current limit is below the load torque, so the load accelerates the shaft."""
     monkeypatch.setattr(stiffness, "LIMIT", 1.5)
     with pytest.raises(SimulationError, match="axis1 ended in a fault"):
         stiffness.run(plant, seed=8)
@@ -28,4 +28,4 @@ def test_too_small_current_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, 
 
 def test_missing_deflection_is_an_error(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     monkeypatch.setattr(stiffness, "NOMINAL", 1e-6)  # less than the friction holds
-    assert not stiffness.run(plant, seed=8).row("axis1, recovery").agrees
+    assert not stiffness.run(plant, seed=8).row("axis1, recovery time").agrees

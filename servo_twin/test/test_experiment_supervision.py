@@ -1,4 +1,4 @@
-"""Faults of the motion come in time, by their names, and only then; without them that is noticed."""
+"""Motion faults are raised in time, with the right name, without false alarms; otherwise the bounds are violated."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from servo_twin.experiments import rig, supervision
 from servo_twin.experiments.supervision import Bench
 from servo_twin.plant import PlantConfig
 
-CAUSES = ("shaft blocked in a move", "too large a load in a move", "driven by a load", "set-point too fast")
+CAUSES = ("shaft blocked in a move", "too large load in a move", "driven by a load", "set-point too fast")
 
 
 def wrong() -> set[str]:
@@ -28,18 +28,18 @@ def test_disabled_supervision_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(rig, "features", features)
     names = wrong()
     for cause in CAUSES:
-        for figure in ("outputs off after", "expected fault reported", "time with over without"):
+        for figure in ("time until outputs off", "expected fault reported", "time with / without the feature"):
             assert f"axis1, {cause}: {figure}" in names
 
 
 def test_false_alarm_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So tight a bound that the load steps go beyond it."""
+    """The bound is so tight that the load steps exceed it."""
     monkeypatch.setattr(supervision, "FOLLOWING", 0.05)
     assert supervision.permitted_operation(Bench.of(PlantConfig.load(), 7), forward=False) != 0
 
 
 def test_late_fault_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bound leaves no room for a fault that comes some milliseconds after it could."""
+    """The bound does not permit a delay of some milliseconds."""
     bench = Bench.of(PlantConfig.load(), 7)
     for axis, event in enumerate(supervision.BLOCKED.responses(bench, True)):
         assert event.time is not None

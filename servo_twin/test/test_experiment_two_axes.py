@@ -1,4 +1,4 @@
-"""Two axes on one bus: little is felt of the other, and what would be too much is noticed."""
+"""Two axes on one bus: small influence on each other; a large influence violates the bounds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_braking_speed_is_lower_with_a_softer_bus() -> None:
 
 
 def test_too_much_braking_energy_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a limit that the energy of both shafts reaches from the full speed."""
+    """The limit is below the bus voltage that the kinetic energy of both shafts produces."""
     monkeypatch.setattr(two_axes, "top_speed", lambda plant, axes, wanted: wanted)
     monkeypatch.setattr(two_axes, "OVER_VOLTAGE", 28.0)
     assert "both brake: highest bus voltage" in wrong(PlantConfig.load().with_bus(capacitance=2e-3))
@@ -43,7 +43,7 @@ def test_axis_at_rest_has_no_influence(monkeypatch: pytest.MonkeyPatch) -> None:
         return genuine(plant, seed, watched, None, compensated)
 
     monkeypatch.setattr(two_axes, "turn", turn)
-    assert {"axis1, the other reverses: bus swing", "axis2, the other reverses: bus swing"} <= wrong(PlantConfig.load())
+    assert {f"axis{n}, the other reverses: bus voltage variation" for n in (1, 2)} <= wrong(PlantConfig.load())
 
 
 def test_influence_of_the_other_axis_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,4 +56,4 @@ def test_influence_of_the_other_axis_violates_the_bounds(monkeypatch: pytest.Mon
         return dataclasses.replace(even, omega=even.omega * (1.02 if reversals else 1.0)), other
 
     monkeypatch.setattr(two_axes, "turn", turn)
-    assert "axis1 turns, the other reverses: more deviation" in wrong(PlantConfig.load())
+    assert "axis1 rotates, the other reverses: additional deviation" in wrong(PlantConfig.load())

@@ -1,4 +1,4 @@
-"""The experiment winding: it agrees with the drive as it is, and its figures notice when it is not."""
+"""The experiment winding: the drive agrees with the bounds; missing derating violates them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def test_other_motors_agree(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_missing_derating_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the feature nothing holds the current back."""
+    """Without the feature the current is not derated."""
     monkeypatch.setattr(rig, "features", lambda *_, **__: None)
     world, text, nominal, true = configured(PLANT, QUICK)
     found = time_series(world, SEED, text, 2.5)
     for it, model, real in zip(found, nominal, true, strict=True):
         wrong = {row.name for row in winding.figures(Judge(), it, model, real) if not row.agrees}
-        assert {"time until derating", "current in the end", "winding in the end"} <= wrong
+        assert {"time until derating", "final current", "final winding temperature"} <= wrong
         assert it.current[-1] == pytest.approx(4.0, abs=0.01)
 
 

@@ -1,4 +1,4 @@
-"""What can be broken: the physics against closed forms on both plants, and the whole board on both levels."""
+"""Fault injection: physics against closed forms on both plants, and the whole board at both levels."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from switching_rig import Switching
 STEP = 31.25e-6
 CLOCK = 1e-8
 FLYWHEEL = 1.0
-"""Inertia that nothing here slows down [kg m^2]."""
+"""Inertia so large that the speed stays constant [kg m^2]."""
 
 SPEED = 200.0
 OPEN_PHASE, SHORTED = 0, 1
@@ -65,12 +65,14 @@ class Averaged:
         self.native.lib.averaged_inverter_short(self.inverter, phase, to)
 
     def run(self, seconds: float) -> Any:
-        """Phase currents meanwhile, one row per step."""
+        """Run and return the phase currents, one row per step."""
         rows = []
         for _ in range(round(seconds / STEP)):
-            left = STEP
-            while left > 1e-15:
-                left -= self.native.lib.averaged_inverter_step(self.inverter, self.motor, self.bus, left, self.charge)
+            remaining = STEP
+            while remaining > 1e-15:
+                remaining -= self.native.lib.averaged_inverter_step(
+                    self.inverter, self.motor, self.bus, remaining, self.charge
+                )
             rows.append(list(self.motor.phase))
         return np.array(rows)
 
@@ -124,7 +126,7 @@ def make(request: pytest.FixtureRequest) -> Any:
 
 @pytest.mark.parametrize("phase", [0, 1, 2])
 def test_an_open_phase_leaves_two_in_series(make: Any, phase: int) -> None:
-    """2 V across two windings that stand still: a rise with L/R towards u / (2 R)."""
+    """2 V across two windings at standstill: the current rises to u / (2 R) with the time constant L/R."""
     it = make(bus=2.0, l_d=0.5e-3, l_q=0.5e-3)
     it.open(phase)
     one, other = (phase + 1) % 3, (phase + 2) % 3
@@ -149,7 +151,7 @@ def test_an_open_phase_leaves_two_in_series(make: Any, phase: int) -> None:
 def test_current_of_an_opened_phase_continues_in_the_other_two(make: Any, phase: int) -> None:
     it = make()
     it.spin(SPEED)
-    it.short((phase + 1) % 3, (phase + 2) % 3)  # a current to begin with
+    it.short((phase + 1) % 3, (phase + 2) % 3)  # initial current
     it.run(1e-3)
     it.open((phase + 1) % 3)
     i = it.run(1e-3)
@@ -184,16 +186,16 @@ def test_three_phases_on_bus_minus_are_a_winding_short(make: Any) -> None:
 
 
 def test_a_phase_on_bus_minus_conducts_through_the_lower_diodes(plant_c: Native, switching_c: Native) -> None:
-    """Of the other two: they only ever give current. Both plants agree."""
-    courses = []
+    """The currents of the other two phases have one sign only. Both plants agree."""
+    currents = []
     for it in (Averaged(plant_c, v_drop=0.7), Switched(switching_c, v_drop=0.7)):
         it.spin(SPEED)
         it.short(0, MINUS)
-        courses.append(it.run(50e-3)[-1000:])
-    for i in courses:
+        currents.append(it.run(50e-3)[-1000:])
+    for i in currents:
         assert np.max(i[:, 0]) < 1e-9
         assert np.min(i[:, 1:]) > -1e-9
-    peaks = [np.min(i[:, 0]) for i in courses]
+    peaks = [np.min(i[:, 0]) for i in currents]
     assert peaks[0] < -2.0
     assert peaks[0] == pytest.approx(peaks[1], rel=0.01)
 
@@ -237,7 +239,7 @@ def test_a_short_opens_the_switches_without_software(board: Board, fault: Inject
     board.run(0.002)
     assert faults(board, 0) == {"OVER_CURRENT"}
     board.run(0.3)
-    assert abs(board.truth(0).omega_m) < 10.0, "the shorted windings have braked it"
+    assert abs(board.truth(0).omega_m) < 10.0, "braked by the shorted windings"
     assert faults(board, 1) == set()
     assert board.truth(1).omega_m == pytest.approx(150.0, rel=0.05)
     board.clear_fault()
@@ -276,11 +278,11 @@ def counts_seen(board: Board) -> set[int]:
 
 @pytest.mark.parametrize("high", [False, True])
 @pytest.mark.parametrize("line", ["A", "B"])
-def test_a_stuck_line_shows_one_count_back_and_forth(board: Board, line: Any, high: bool) -> None:
+def test_with_a_stuck_line_the_position_alternates_by_one_count(board: Board, line: Any, high: bool) -> None:
     board.run(0.01)
     board.inject(StuckLine(0, line, high))
     board.run(0.001)
-    board.set_load(0, -0.01)  # drives the idle shaft
+    board.set_load(0, -0.01)  # negative load: it accelerates the shaft, the outputs are off
     seen = counts_seen(board)
     assert board.truth(0).omega_m > 5.0
     assert len(seen) == 2
@@ -291,7 +293,7 @@ def test_a_stuck_line_shows_one_count_back_and_forth(board: Board, line: Any, hi
 
 @pytest.mark.parametrize("line", ["A", "B"])
 def test_glitches_do_not_change_the_count(board: Board, line: Any) -> None:
-    """An edge there and back."""
+    """Each glitch is an edge and its opposite."""
     board.run(0.01)
     before = board.read_raw("axis1.position")[0]
     board.inject(EncoderGlitches(0, line, 2000.0))
@@ -314,7 +316,7 @@ def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:
     turn(board, 50.0)
     board.inject(SupplyDip(20.0, 0.4))
     board.run(0.39)
-    assert 20.0 < board.truth(0).u_dc < 23.0, "the motors live on the capacitor"
+    assert 20.0 < board.truth(0).u_dc < 23.0, "the motors are supplied by the bus capacitor"
     board.run(0.02)
     assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.2)
     board.set_load(0, 0.04)
@@ -342,7 +344,7 @@ def test_noise_is_in_the_measured_current(board: Board) -> None:
     assert np.std(again["axis1.i_d"]) < 1.5 * np.std(quiet["axis1.i_d"])
 
 
-def test_a_hot_power_stage(board: Board) -> None:
+def test_a_hot_power_stage_cools_after_the_fault(board: Board) -> None:
     board.inject(HotPowerStage(1, 95.0))
     board.run(0.01)
     assert board.truth(1).t_sink == 95.0

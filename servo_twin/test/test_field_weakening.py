@@ -1,4 +1,4 @@
-"""Field weakening on the virtual board: moves, torque and the other direction at the rated speed, and what ends it."""
+"""Field weakening on the virtual board: moves, torque, both directions at the rated speed, and its end."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def rated() -> Iterator[Board]:
 
 
 def test_a_position_move_at_the_rated_speed_arrives() -> None:
-    """No faults with the following error watched, and no more overshoot than at lower speeds."""
+    """No following error, and no more overshoot than at lower speeds."""
     with spinning(PlantConfig.load(), 5) as board:
         features(board, AXIS, FIELD_WEAKENING=True, FOLLOWING_ERROR=True, OVER_SPEED=True)
         set_axis(board, "param.speed_limit", AXIS, RATED)
@@ -66,7 +66,7 @@ def test_torque_mode_reaches_the_speed_limit(rated: Board) -> None:
     assert float(run.omega.std()) < 60.0 * RPM
 
 
-def test_switched_off_in_motion_the_speed_falls_to_what_the_voltage_allows(rated: Board) -> None:
+def test_speed_falls_to_the_voltage_limit_if_the_feature_is_disabled_in_motion(rated: Board) -> None:
     rated.set_load(AXIS, field_weakening.STEP)
     rated.run(0.1)
     features(rated, AXIS, FIELD_WEAKENING=False)
@@ -77,12 +77,12 @@ def test_switched_off_in_motion_the_speed_falls_to_what_the_voltage_allows(rated
 
 
 def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
-    """Observer and encoder agree about the rotor, also while the voltage is short."""
+    """Observer and encoder agree on the rotor angle, also at the voltage limit."""
     features(rated, AXIS, ANGLE_CHECK=True)
     for load, supply in ((field_weakening.STEP, 24.0), (0.02, 19.0), (0.0, 24.0)):
         rated.set_load(AXIS, load)
         rated.set_supply(supply)
-        run = record(rated, [AXIS], 0.3)[AXIS]  # refuses faults
+        run = record(rated, [AXIS], 0.3)[AXIS]  # fails on a fault
         assert float(run.i_d[-100:].mean()) < -0.3
 
 
@@ -93,8 +93,8 @@ def test_stop_ends_field_weakening(rated: Board) -> None:
     assert float(np.abs(run.i_d[-100:]).max()) < 0.1
 
 
-def test_works_without_an_encoder() -> None:
-    """The observer keeps the rotor at the rated speed, under a load step and at a supply that sags and returns."""
+def test_field_weakening_works_without_an_encoder() -> None:
+    """The observer follows the rotor at the rated speed, with a load step and a dip of the supply."""
     with spinning(PlantConfig.load(), 5) as board:
         board.write("cmd.enable", [0, 0])
         board.run(0.3)

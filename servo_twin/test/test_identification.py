@@ -1,4 +1,4 @@
-"""servo-sim identify: from an unknown motor to a plant file and a servo.toml, and what it refuses."""
+"""servo-sim identify: from an unknown motor to a plant file and a servo.toml, and its refusals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LIMITS = Limits(24.0, 4.0, r_on=0.03)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What one run on the packaged motor of axis 2 has written."""
+    """Files of one run on the packaged motor of axis 2."""
     path = tmp_path_factory.mktemp("identify")
     assert main(["identify", "--axis", "2", "--level", "ideal", "--out", str(path)]) == 0
     return path
@@ -130,28 +130,28 @@ def test_data_that_cannot_be_measured_are_reported(reason: str, voltage: float, 
 
 
 class _Watched(VirtualBoardAccess):
-    """A board whose shaft is watched, and with which something may happen at a wait.
+    """A board with a record of the largest motion of its shaft and a callback at each wait.
 
     Parameters
     ----------
     meanwhile : callable
         Called with this access before each wait.
     slow : float
-        Time that an exchange takes, as on a serial line [s].
+        Duration of an exchange, as on a serial line [s].
     """
 
     def __init__(self, board: Board, meanwhile: Callable[[_Watched], None] = lambda _: None, slow: float = 0.0) -> None:
         super().__init__(board)
         self._meanwhile, self._slow = meanwhile, slow
         self._begin = board.truth(0).theta_m
-        self.way = self.speed = 0.0  # largest [rad], [rad/s]
+        self.travel = self.speed = 0.0  # largest [rad], [rad/s]
         self.waits = 0
 
     def _advance(self, seconds: float) -> None:
         for _ in range(parts := max(math.ceil(seconds / 0.01), 1)):
             self.board.run(seconds / parts)
             truth = self.board.truth(0)
-            self.way = max(self.way, abs(truth.theta_m - self._begin))
+            self.travel = max(self.travel, abs(truth.theta_m - self._begin))
             self.speed = max(self.speed, abs(truth.omega_m))
 
     def read_words(self, name: str) -> list[int]:
@@ -191,8 +191,8 @@ def _state(board: Board) -> dict[str, list[int]]:
     return {name: board.read_raw(name) for name in names}
 
 
-def _protected(board: Board) -> None:
-    """What a careful user has set."""
+def _set_protection(board: Board) -> None:
+    """Set protective limits."""
     flags = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
     board.run(0.05)
     for name, value in (("speed_limit", 60.0), ("over_speed", 100.0), ("position_max", 24.0), ("position_min", -24.0)):
@@ -204,13 +204,13 @@ def _protected(board: Board) -> None:
 
 def test_protective_settings_apply_and_everything_is_restored() -> None:
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
-        _protected(board)
+        _set_protection(board)
         before = _state(board)
         access = _Watched(board)
         log = MotorTest(access, 0, LIMITS, servo_table()).run()
         board.run(0.05)
         assert _state(board) == before
-        assert access.way < 24.0
+        assert access.travel < 24.0
         assert 30.0 < access.speed < 60.0
         assert log.labelled("hold")
         assert board.read("axis1.state") == board.catalogue.enums["state_t"]["STOP"]
@@ -222,7 +222,7 @@ def test_permitted_turns_are_kept_over_a_slow_line(turns: float) -> None:
         board.run(0.05)
         access = _Watched(board, slow=0.005)
         MotorTest(access, 0, dataclasses.replace(LIMITS, turns=turns), servo_table()).run()
-        assert 0.5 * turns < access.way / (2.0 * math.pi) < turns
+        assert 0.5 * turns < access.travel / (2.0 * math.pi) < turns
 
 
 def test_low_speed_limit_is_sufficient_and_kept() -> None:
@@ -240,7 +240,7 @@ def test_ctrl_c_restores_the_board(at: tuple[int, ...]) -> None:
             raise KeyboardInterrupt
 
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
-        _protected(board)
+        _set_protection(board)
         before = _state(board)
         test = MotorTest(_Watched(board, press), 0, LIMITS, servo_table())
         with pytest.raises(KeyboardInterrupt):
@@ -253,16 +253,16 @@ def test_ctrl_c_restores_the_board(at: tuple[int, ...]) -> None:
 
 def test_restoration_continues_after_a_line_failure() -> None:
     class Lost(_Watched):
-        left = 3
+        remaining = 3
 
         def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-            if self.waits > 100 and name in ("cmd.enable", "param.features", "cmd.speed") and self.left > 0:
-                self.left -= 1
+            if self.waits > 100 and name in ("cmd.enable", "param.features", "cmd.speed") and self.remaining > 0:
+                self.remaining -= 1
                 raise OSError("no answer")
             return super().write_words(name, words, first)
 
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
-        _protected(board)
+        _set_protection(board)
         before = _state(board)
         with pytest.raises(OSError, match="no answer"):
             MotorTest(Lost(board), 0, LIMITS, servo_table()).run()
@@ -272,7 +272,7 @@ def test_restoration_continues_after_a_line_failure() -> None:
 
 @pytest.mark.parametrize("seconds", [10.0, math.inf])
 def test_shaft_that_does_not_stop_is_reported_after_a_wait(seconds: float) -> None:
-    """A load that turns the shaft once the outputs are off."""
+    """A load accelerates the shaft after the outputs are off."""
 
     class Loaded(_Watched):
         since = math.inf
@@ -288,16 +288,16 @@ def test_shaft_that_does_not_stop_is_reported_after_a_wait(seconds: float) -> No
             super().wait(seconds_)
 
     with Board(PlantConfig.load().with_axis(0, viscous=1e-4), seed=1, level="ideal") as board:
-        _protected(board)
-        before, said = _state(board), list[str]()
-        test = MotorTest(Loaded(board), 0, LIMITS, servo_table(), said.append)
+        _set_protection(board)
+        before, messages = _state(board), list[str]()
+        test = MotorTest(Loaded(board), 0, LIMITS, servo_table(), messages.append)
         with pytest.raises(MeasurementError):
             test.run()
         board.run(0.05)
         after = _state(board)
         different = {name for name, words in before.items() if after[name] != words}
         assert different == (set() if math.isfinite(seconds) else {"config.checksum"})
-        assert any("NOT RESTORED: configuration" in text for text in said) == math.isinf(seconds)
+        assert any("NOT RESTORED: configuration" in text for text in messages) == math.isinf(seconds)
         assert ("Do not enable it" in test.restoring_text) == math.isinf(seconds)
 
 
@@ -324,7 +324,7 @@ def test_set_point_is_renewed_with_slow_exchanges() -> None:
 
 @pytest.mark.parametrize("mode", ["TEST", "SPEED"])
 def test_host_pause_ends_the_motion(mode: str) -> None:
-    """The board stops the shaft by itself, and the set-point is not given again."""
+    """The board stops the shaft, and the set-point is not renewed."""
     speeds: list[float] = []
 
     def pause(access: _Watched) -> None:
@@ -372,7 +372,7 @@ def test_too_small_range_is_refused_before_any_motion(limits: Limits, reason: st
         with pytest.raises(MeasurementError, match=reason):
             MotorTest(access, 0, limits, servo_table()).run()
         assert _state(board) == before
-        assert access.way < 0.01
+        assert access.travel < 0.01
 
 
 def test_saturation_is_reported_as_failure(tmp_path: Path) -> None:
@@ -392,9 +392,9 @@ def test_truncated_or_foreign_recording_is_reported(
     content = (folder / "measurement.npz").read_bytes()
     (tmp_path / "part.npz").write_bytes(b"# no recording\n" if part is None else content[:part])
     assert main(["identify", "--recording", str(tmp_path / "part.npz"), "--out", str(tmp_path)]) == 1
-    said = capsys.readouterr().err
-    assert "is not a complete measurement" in said
-    assert "pickle" not in said
+    messages = capsys.readouterr().err
+    assert "is not a complete measurement" in messages
+    assert "pickle" not in messages
 
 
 def test_random_motors_are_the_same_for_a_seed() -> None:
@@ -407,15 +407,15 @@ def test_random_motors_are_the_same_for_a_seed() -> None:
 def test_false_success_is_counted() -> None:
     good = Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(TARGETS, True), 20.0, (), "")
     far = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, (), "")
-    told = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, ("psi_m",), "")
-    assert [one.false_success for one in (good, far, told)] == [False, True, False]
-    text = "\n".join(summary([(0, good), (1, far), (2, told)]))
+    warned = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, ("psi_m",), "")
+    assert [one.false_success for one in (good, far, warned)] == [False, True, False]
+    text = "\n".join(summary([(0, good), (1, far), (2, warned)]))
     assert "3 motors: 2 identified, 1 not" in text
     assert "false success: 1 (motors 1)" in text
 
 
 def test_uncertainties_of_few_points_are_not_too_small() -> None:
-    """A line through six points, each a batch of its own: what a fit draws to itself counts, too."""
+    """A line through six points, each in its own batch: the leverage of the points is included."""
     x = np.linspace(0.2, 1.0, 6)
     jacobian = np.column_stack([x, np.ones_like(x)])
     true = np.linalg.inv(jacobian.T @ jacobian)

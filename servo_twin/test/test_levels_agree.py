@@ -1,4 +1,4 @@
-"""Both levels of the board do the same: some experiments side by side, and cases in which they once did not."""
+"""Both levels of the board agree: some experiments, and cases in which they differed once."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def test_experiments_agree_at_both_levels(name: str) -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_search_on_a_stiff_shaft(level: Level) -> None:
-    """Aligned to a phase's axis, the current of another one stays at zero to within rounding."""
+def test_rotor_search_agrees_on_a_shaft_with_high_friction(level: Level) -> None:
+    """With the rotor aligned to the axis of a phase, the current of another phase stays zero within rounding."""
     stiff = PLANT
     for number, entry in enumerate(PLANT.axes):
         stiff = stiff.with_axis(number, friction=3.0 * entry.friction)
@@ -45,7 +45,7 @@ def test_a_search_on_a_stiff_shaft(level: Level) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_shaft_at_rest_on_an_edge_is_not_detected_as_dead_line(level: Level) -> None:
-    """The search of axis 2 holds its rotor there for 0.4 s, with 4 A along it."""
+    """The search holds the rotor of axis 2 on an edge for 0.4 s, with 4 A on the d axis."""
     other = PLANT.with_axis(0, l_d=0.5 * PLANT.axes[0].l_d, l_q=0.5 * PLANT.axes[0].l_q)
     with at_level(level), spinning(other, 1) as board:
         assert board.read_raw("axis2.faults")[0] == 0
@@ -53,13 +53,13 @@ def test_shaft_at_rest_on_an_edge_is_not_detected_as_dead_line(level: Level) -> 
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize(("state", "seed"), [("STOP", 199), ("CALIB", 200)])
-def test_stall_of_the_core_for_a_millisecond(level: Level, state: str, seed: int) -> None:
-    """The sequence of the two loops begins anew, whatever edges the duties had when it did."""
+def test_stall_of_the_core_for_a_millisecond_is_a_late_loop(level: Level, state: str, seed: int) -> None:
+    """The sequence of the two loops restarts, independent of the duties at that time."""
     fault_case = next(d for d in fault_matrix.fault_cases(PLANT) if d.name == "core stands still 1 ms")
     with at_level(level):
         found = fault_matrix.case(PLANT, seed, fault_case, state)
     assert (found.name, found.other) == ("LATE_LOOP", True)
-    assert found.periods in (24, 32), "the supervision comes once in a slow tick"
+    assert found.periods in (24, 32), "the supervision runs once per slow tick"
 
 
 EDGE_HANDLERS = (24, 28)  # vectors of channel 0 of both timers
@@ -75,7 +75,7 @@ def turning() -> Iterator[Board]:
 
 
 def test_stalled_core_is_late_with_any_next_handler() -> None:
-    """The loops would interrupt the handler of an edge, were it that which takes long."""
+    """The stall must not be charged to the handler of an edge: the loops would interrupt that handler."""
     with turning() as board:
         while True:
             before = board.time_ns
@@ -91,7 +91,7 @@ def test_stalled_core_is_late_with_any_next_handler() -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_no_hand_over_of_a_shaft_at_standstill(level: Level) -> None:
-    """What dead time and damping current leave looks like a back-EMF for a moment, and locks the PLL."""
+    """The residual voltage of dead time and damping current looks like a back-EMF for a moment and locks the PLL."""
     stuck = PLANT
     for axis in range(2):
         stuck = stuck.with_axis(axis, friction=10.0)
@@ -102,7 +102,7 @@ def test_no_hand_over_of_a_shaft_at_standstill(level: Level) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_shorted_windings_return_no_energy_to_the_bus(level: Level) -> None:
-    """A capacitor that shows every pulse: 0.5 J would lift it far beyond its limit, and the short would be over."""
+    """With the small capacitor 0.5 J would raise the bus far above its limit, which would end the short."""
     plant = PLANT.with_bus(capacitance=0.3e-3).with_axis(0, inertia=2.4e-5)
     motor = plant.axes[0]
     with at_level(level):

@@ -58,7 +58,7 @@ def test_curves_lie_at_their_times_in_turns_and_counts(tmp_path: Path) -> None:
     assert board[np.argmax(board[:, 1]), 0] == pytest.approx(2.01, abs=0.01)
     assert board[:, 1].max() == pytest.approx(10 * np.pi * 0.75, rel=1e-3)
     assert set(np.round(np.asarray(residual.lines[0].get_ydata()), 6)) == {round(0.004 * 4000 / (2 * np.pi), 6)}
-    # From a little before the first movement to a little after the last.
+    # From shortly before the first movement to shortly after the last one.
     assert position.get_xlim() == pytest.approx((0.51, 3.5), abs=0.05)
 
 

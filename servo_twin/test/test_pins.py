@@ -49,7 +49,7 @@ def test_an_open_enable_circuit_opens_the_switches_without_software(level: Level
         board.run(3.0 * PERIOD)
         assert abs(board.truth(0).i_q) < 1e-3
         assert board.truth(1).i_q > 1.8
-        board.clear_fault()  # closed again: the latch keeps the switches open until the firmware has seen it
+        board.clear_fault()  # closed again: the latch keeps the switches open until the firmware has read it
         board.run(0.005)
         assert abs(board.truth(0).i_q) < 1e-3
         assert [flag.name for flag in board.catalogue.active("faults", board.read_raw("axis1.faults")[0])] == [
@@ -76,7 +76,7 @@ def test_switches_are_where_the_plant_has_them(level: Level) -> None:
         for _ in range(700):
             board.run(0.001)
             seen.setdefault(inputs(board), board.truth(0).theta_m)
-        late = 20.0 * 0.003  # the filter, and a look every millisecond
+        late = 20.0 * 0.003  # the filter, and one reading per millisecond
         assert 3.0 - late <= seen[HOME] <= 3.0 + 2.0 * late
         assert 10.0 - late <= seen[LIMIT_MAX] <= 10.0 + 2.0 * late
         assert set(seen) == {0, HOME, LIMIT_MAX}

@@ -15,9 +15,9 @@ FAR = 3.0  # [rad]
 
 
 def sent(board: Board, *points: tuple[float, float, float]) -> None:
-    """Queue points of axis 1: seconds from now, way from where it is [rad], speed [rad/s]."""
+    """Queue points of axis 1: time from now [s], distance from the present position [rad], speed [rad/s]."""
     tick, here = board.read_raw("tick")[0], position_of(board, 0) * COUNT
-    encoded = [TimedPoint(0, tick + round(16000 * at), here + way, speed) for at, way, speed in points]
+    encoded = [TimedPoint(0, tick + round(16000 * at), here + distance, speed) for at, distance, speed in points]
     words = encode_points(board.catalogue, encoded)
     pack = board.catalogue["cmd.points"].raw_type.pack
     board.write_memory(board.address("cmd.points"), b"".join(map(pack, words)))
@@ -25,7 +25,7 @@ def sent(board: Board, *points: tuple[float, float, float]) -> None:
 
 @pytest.fixture(params=[0.0, 1.0], ids=["on the switch", "before it"])
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
-    """Axis 1 holds, its upper limit switch so far ahead [rad], and that is no fault."""
+    """Axis 1 holds at the distance `param` [rad] from its upper limit switch (0: on it), which raises no fault."""
     plant = PlantConfig.load().drawn(1)
     start = plant.axes[0].theta_start
     assert not isinstance(start, str)
@@ -45,7 +45,7 @@ def test_no_path_continues_into_an_active_switch(board: Board) -> None:
             sent(board, (0.05, 0.0, 0.0), (1.0, FAR, 0.0))
         board.run(1.2)
         assert abs(board.truth(0).theta_m - begin) < 4 * COUNT
-        sent(board, (0.05, 0.0, 0.0), (1.0, -FAR, 0.0))  # off it
+        sent(board, (0.05, 0.0, 0.0), (1.0, -FAR, 0.0))  # away from the switch
         board.run(1.2)
         assert board.truth(0).theta_m - begin == pytest.approx(-FAR, abs=0.02)
     else:

@@ -1,4 +1,4 @@
-"""The DC bus: charging through the source's resistance, and a source that takes nothing back."""
+"""The DC bus: charging through the resistance of the source; no current back into the source."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_bus_is_charged_at_the_start(plant_c: Native, bus_plant: BusPlant) -> No
     assert bus.u == 24.0
 
 
-def test_a_load_pulls_it_down_exponentially(plant_c: Native, bus_plant: BusPlant) -> None:
+def test_a_load_discharges_the_bus_exponentially(plant_c: Native, bus_plant: BusPlant) -> None:
     bus = make(plant_c, bus_plant)
     for _ in range(30):
         plant_c.lib.supply_advance(bus, STEP, 8.0)
@@ -65,7 +65,7 @@ def test_a_source_that_is_switched_off_leaves_the_charge(plant_c: Native, bus_pl
 
 @pytest.mark.parametrize(("start", "load"), [(8.0, -25.0), (-8.0, 25.0)])
 def test_crossing_the_voltage_of_the_source(plant_c: Native, bus_plant: BusPlant, start: float, load: float) -> None:
-    """One step across it agrees with a thousand small ones."""
+    """One step across the source voltage agrees with a thousand small steps."""
     small = plant_c.ffi.new("supply_t *")
     bus_plant = dataclasses.replace(bus_plant, r_source=0.02)
     plant_c.lib.supply_init(small, c_bus(plant_c, bus_plant), 25.0)

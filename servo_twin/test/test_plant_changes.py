@@ -26,7 +26,7 @@ CHANGES = {
 
 
 def seen(board: Board) -> dict[str, float]:
-    """What the firmware's signals say of the plant, each by its textbook equation, where the others are known."""
+    """Plant values from the signals of the firmware, each by its equation with the other values known."""
     plant = board.plant.axes[0]
     board.run(0.1)
     held = board.si(board.record(board.time_ns + 100_000_000))
@@ -63,7 +63,7 @@ def test_change_of_the_plant_is_measured_by_the_drive(name: str, level: Level) -
     table = {"axis1": plant.axes[0], "bus": plant.bus}
     part, _, value = name.partition(".")
     change = CHANGES[name] - getattr(table[part], value)
-    # what the inverter loses to dead times and drops is in both
+    # dead time and voltage drops of the inverter cancel in the difference
     assert after[name] - before[name] == pytest.approx(change, rel=0.1)
 
 
@@ -134,7 +134,7 @@ def test_invalid_changes_are_refused(name: str, value: float, text: str) -> None
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_faults_that_change_plant_values(level: Level) -> None:
-    """Each is seen in the truth, several of one value add up, and their removal leaves what there was."""
+    """Each fault changes the truth; faults of the same value add up; their removal restores the value."""
     plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=50.0, backlash=1e-3)
     axis = plant.axes[0]
     with Board(plant, level=level) as board:
@@ -145,7 +145,7 @@ def test_faults_that_change_plant_values(level: Level) -> None:
         board.inject(BadContact(0, 0.2))
         assert board.truth(0).psi_m == pytest.approx(0.8 * axis.psi_m)
         assert board.truth(0).r_s == pytest.approx(axis.r_s + 0.5)
-        board.set_plant("axis1.r_s", 0.7)  # the damage is on top of whatever there is
+        board.set_plant("axis1.r_s", 0.7)  # the fault is added to the present value
         assert board.truth(0).r_s == pytest.approx(0.7 + 0.5)
         assert board.plant == plant.with_value("axis1.r_s", 0.7)
         board.clear_fault(BadContact(0, 0.3))
@@ -184,7 +184,7 @@ def test_a_dry_bearing_takes_more_current(level: Level) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
-    """A running shaft is shown up to the new error, without losing a count for good."""
+    """The position error of a running shaft stays within the new bound, and no count is lost."""
     with Board(PlantConfig.load().with_axis(0, theta_start=0.0), level=level) as board:
         enable(board)
         choose_mode(board, 0, "SPEED")

@@ -1,4 +1,4 @@
-"""Reading plant.toml: the packaged truth, changed copies, and error messages."""
+"""Reading plant.toml: packaged values, changed copies, error messages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_packaged_plant_agrees_with_the_data_sheet() -> None:
     assert first.torque_constant == pytest.approx(0.0462)
 
 
-def test_a_file_names_only_what_differs(tmp_path: Path) -> None:
+def test_a_file_contains_only_differing_values(tmp_path: Path) -> None:
     file = tmp_path / "stiff.toml"
     file.write_text("[axis2]\nfriction = 5e-3\n[bus]\nu_source = 22\n")
     plant, packaged = PlantConfig.load(file), PlantConfig.load()

@@ -1,4 +1,4 @@
-"""Encoder and quad timers: count, reload, emulated index with its trap, captures at analytic times."""
+"""Encoder and quad timers: count, reload, emulated index and its reversal error, captures at analytic times."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TICK_NS = 1280
 
 
 class Encoder:
-    """An encoder whose shaft is moved in positions, counted in edges."""
+    """An encoder whose shaft is moved to positions given in counts."""
 
     def __init__(self, plant_c: Native, start: float = 0.5, lines: int = 1000) -> None:
         self.native = plant_c
@@ -27,7 +27,7 @@ class Encoder:
         self.now_ns = 0
 
     def move_to(self, position: float, duration_ns: int = 10_000) -> None:
-        """Even movement to a position."""
+        """Move to a position at constant speed."""
         speed = (position - self.at) * self.edge / (duration_ns * 1e-9)
         self.move(position, speed, speed, duration_ns)
 
@@ -50,7 +50,7 @@ class Encoder:
 
     @property
     def count(self) -> int:
-        """Counter as the two's complement number that it is."""
+        """Counter as a two's complement number."""
         value = int(self.c.count)
         return value - 0x10000 if value >= 0x8000 else value
 
@@ -98,7 +98,7 @@ def test_agrees_with_the_timers_edge_by_edge(plant_c: Native, timed: bool, start
         for _ in range(abs(move)):
             model.step(move > 0)
         assert (encoder.count, encoder.c.index, encoder.c.oflag) == (model.count, model.index & 0xFFFF, model.oflag)
-        # whatever the reloads did, the angle is right
+        # the angle is correct after any number of reloads
         assert (encoder.count - (model.position - start)) % 4000 == 0
 
 
@@ -167,13 +167,13 @@ class TestCapture:
         duration_ns = 1_000_000
         t_end = duration_ns * 1e-9
         acceleration = (omega_1 - omega_0) / t_end
-        way = sign * (omega_0 + omega_1) / 2 * t_end / EDGE
+        travel = sign * (omega_0 + omega_1) / 2 * t_end / EDGE
         encoder.now_ns = 1_000_000
         plant_c.lib.plant_encoder_arm(encoder.c)
-        encoder.move(encoder.at + way, sign * omega_0, sign * omega_1, duration_ns)
+        encoder.move(encoder.at + travel, sign * omega_0, sign * omega_1, duration_ns)
         boundary = 2 * (math.floor((position + 0.5) / 2) + 1) if sign > 0 else 2 * math.floor((position + 0.5) / 2)
         distance = abs(boundary - position - 0.5) * EDGE
-        if abs(way) * EDGE < distance:
+        if abs(travel) * EDGE < distance:
             assert encoder.take() is None
             return
         root = math.sqrt(max(omega_0**2 + 2 * acceleration * distance, 0.0))
@@ -185,7 +185,7 @@ class TestCapture:
 
 
 def test_time_of_an_edge_after_the_shaft_has_turned_back(plant_c: Native) -> None:
-    """The shaft stops after 1 us of a step and crosses the edge behind it another 1.05 us later."""
+    """The shaft stops after 1 us of a step, reverses, and crosses the edge again 1.05 us later."""
     acceleration, edge = 2e8, 3 * 2 * EDGE
     plant = ideal_plant(theta_start=edge + 1e-5, inertia=1e-10)
     state = plant_c.ffi.new("plant_t *")
@@ -244,10 +244,8 @@ def test_unplugged_encoder_loses_the_motion(plant_c: Native) -> None:
 @pytest.mark.parametrize("line", [0, 1])
 @pytest.mark.parametrize("direction", [-1, 1])
 @pytest.mark.parametrize("start", [0.5, 1.5, 2.5, 3.5])
-def test_an_encoder_with_a_dead_line_goes_back_and_forth(
-    plant_c: Native, line: int, direction: int, start: float
-) -> None:
-    """Every second edge is left, and the decoder takes the two of a period for opposite steps."""
+def test_with_a_dead_line_the_count_alternates(plant_c: Native, line: int, direction: int, start: float) -> None:
+    """Only every second edge occurs, and the decoder counts the two edges of a period in opposite directions."""
     encoder = Encoder(plant_c, start=start)
     plant_c.lib.plant_encoder_stick(encoder.c, line, True, False)
     counts = [encoder.count]

@@ -1,4 +1,4 @@
-"""The motor against an independent integration, against energy, and its friction against arithmetic."""
+"""The motor against an independent integration and energy conservation; friction against closed forms."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def make(plant_c: Native, axis: AxisPlant) -> Any:
 
 
 def step(plant_c: Native, motor: Any, alpha: float, beta: float, duration: float = STEP) -> None:
-    """Steps until `duration` has passed; one may end early where the shaft stops."""
-    left = duration
-    while left > 1e-12:
-        left -= plant_c.lib.plant_motor_step(motor, (alpha, beta), left)
+    """Advance by `duration`; a step ends early where the shaft stops."""
+    remaining = duration
+    while remaining > 1e-12:
+        remaining -= plant_c.lib.plant_motor_step(motor, (alpha, beta), remaining)
 
 
 def field_energy(inductance: float, i_s: float, current: float) -> float:
@@ -88,7 +88,7 @@ def stator_frame_reference(
 def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iron: dict[str, Any]) -> None:
     plant = ideal_plant(viscous=2e-5, theta_start=0.4, **iron)
     axis = plant.axes[0]
-    # a voltage vector that accelerates the shaft and pulls the motor out of step: everything is excited
+    # a voltage vector that accelerates the shaft beyond synchronism: all states are excited
     times = np.arange(640) * STEP
     angle = 0.7 + 2 * math.pi * (20 * times + 1500 * times**2)
     voltage = 5.0 * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -99,7 +99,7 @@ def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iro
     for alpha, beta in voltage:
         step(plant_c, motor, alpha, beta)
         rows.append([motor.i_d, motor.i_q, motor.omega, motor.theta])
-    assert np.abs(expected[:, 1]).max() > 3.0  # the comparison is about real currents and speeds
+    assert np.abs(expected[:, 1]).max() > 3.0  # the compared currents and speeds are large enough
     assert np.abs(expected[:, 2]).max() > 30.0
     error = np.abs(np.array(rows) - expected).max(axis=0)
     assert (error < np.array([5e-8, 5e-8, 5e-8, 1e-10]) * (40.0 if iron else 1.0)).all()  # A, A, rad/s, rad
@@ -137,7 +137,7 @@ def test_phase_currents_agree_with_the_rotor_frame(plant_c: Native) -> None:
     assert math.atan2(motor.i_q, motor.i_d) == pytest.approx(-1.2, rel=1e-12)
 
 
-def test_trigonometry_is_as_good_as_the_library(plant_c: Native) -> None:
+def test_trigonometry_is_as_accurate_as_the_library(plant_c: Native) -> None:
     for theta in [0.0, 1e-9, 0.4, math.pi / 4, -math.pi / 2, 3.0, -7.5, 1234.5678, -98765.4321]:
         motor = make(plant_c, ideal_plant(theta_start=theta).axes[0])
         assert motor.sine == pytest.approx(math.sin(2 * theta), abs=3e-15 + 1e-16 * abs(theta))
@@ -158,26 +158,26 @@ class TestFriction:
         axis = ideal_plant(friction=2e-3).axes[0]
         motor = make(plant_c, axis)
         motor.omega = -50.0
-        way = 50.0**2 * axis.inertia / (2 * axis.friction)
+        distance = 50.0**2 * axis.inertia / (2 * axis.friction)
         time = 50.0 * axis.inertia / axis.friction
         for _ in range(math.ceil(time / STEP) + 100):
-            left = STEP
-            while left > 1e-15:
-                left -= plant_c.lib.plant_motor_coast(motor, left)
+            remaining = STEP
+            while remaining > 1e-15:
+                remaining -= plant_c.lib.plant_motor_coast(motor, remaining)
         assert motor.omega == 0.0
-        assert motor.theta == pytest.approx(-way, rel=1e-9)
+        assert motor.theta == pytest.approx(-distance, rel=1e-9)
 
     def test_friction_of_a_powered_motor_at_reversal(self, plant_c: Native) -> None:
-        """Current drives against the motion: through zero the friction changes its side, nothing else does."""
+        """Current drives against the motion: at zero speed only the friction torque changes its sign."""
         axis = ideal_plant(friction=4e-3).axes[0]
         torque = 0.01
         motor = make(plant_c, axis)
         motor.load, motor.omega = torque, 20.0
         before = 20.0 * axis.inertia / (torque + axis.friction)
         after = 20e-3 - before
-        left = 20e-3
-        while left > 1e-12:
-            left -= plant_c.lib.plant_motor_coast(motor, min(left, STEP))
+        remaining = 20e-3
+        while remaining > 1e-12:
+            remaining -= plant_c.lib.plant_motor_coast(motor, min(remaining, STEP))
         assert motor.omega == pytest.approx(-after * (torque - axis.friction) / axis.inertia, rel=1e-6)
 
     def test_too_small_current_does_not_move_the_shaft(self, plant_c: Native) -> None:

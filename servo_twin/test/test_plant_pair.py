@@ -1,4 +1,4 @@
-"""Both axes in one step of the plant: what each would do by itself."""
+"""Both axes in one step of the plant, compared with two separate axes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from servo_twin.plant import PlantConfig
 
 
 @pytest.mark.parametrize("speeds", [(80.0, -40.0), (0.0, 60.0), (-3.0, 0.2)])
-def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[float, float]) -> None:
-    """Turning shafts, one that stands, ones that stop within a step: the same states, the same counts."""
+def test_a_pair_agrees_with_two_single_axes(plant_c: Native, speeds: tuple[float, float]) -> None:
+    """Rotating shafts, a shaft at rest, shafts that stop within a step: equal states and counts."""
     ffi, lib = plant_c
     plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=-2.0)
     both = ffi.new("plant_t *")
@@ -33,9 +33,9 @@ def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[floa
                 lib.averaged_inverter_load(ffi.addressof(both.axis[index].inverter), duties[index], bus)
         lib.plant_step(both, n * both.step_ns)
         for index, motor in enumerate(motors):
-            left = step
-            while left > 1e-15:
-                left -= lib.averaged_inverter_step(inverters[index], motor, bus, left, charge)
+            remaining = step
+            while remaining > 1e-15:
+                remaining -= lib.averaged_inverter_step(inverters[index], motor, bus, remaining, charge)
             paired = both.axis[index].motor
             assert paired.omega == pytest.approx(motor.omega, rel=1e-11, abs=1e-12)
             assert paired.theta == pytest.approx(motor.theta, rel=1e-12, abs=1e-14)

@@ -10,7 +10,7 @@ from native_library import Native, c_config, ideal_plant
 from servo_twin.plant import PlantConfig
 
 
-def test_24_volts_are_2708(plant_c: Native) -> None:
+def test_24_volts_are_code_2708(plant_c: Native) -> None:
     """DRM E46 on a 12-bit converter; shifted to Q1.15 it is 21664."""
     assert plant_c.lib.plant_code_unipolar(24.0, 36.3) == 2708
 
@@ -61,7 +61,7 @@ def test_noise_repeats_with_its_seed_and_differs_between_streams(plant_c: Native
 
 
 class Converters:
-    """Two of axis 1, each at a phase."""
+    """Two converters of axis 1, one phase each."""
 
     def __init__(self, plant_c: Native, plant: PlantConfig, *phases: int) -> None:
         self.native = plant_c
@@ -96,7 +96,7 @@ def test_current_codes_carry_offset_and_noise_of_their_phase(plant_c: Native) ->
 
 
 def test_codes_do_not_depend_on_when_or_how_often_they_are_read(plant_c: Native) -> None:
-    """Late, twice or never: it changes neither these codes nor those of any other sample."""
+    """Reading a sample late, twice or never changes neither its codes nor those of another sample."""
     both, one = (Converters(plant_c, ideal_plant(i_noise=0.05), 0, 1) for _ in range(2))
     read = []
     for n in range(20):

@@ -1,4 +1,4 @@
-"""What real shafts have, at switching level, against the independent integration of the same edges of the gates."""
+"""Effects of real shafts, at switching level, against an independent integration of the same gate edges."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PARTS["all"] = {name: value for part in PARTS.values() for name, value in part.i
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_against_an_independent_integration(switching_c: Native, part: str) -> None:
+def test_real_shaft_agrees_with_an_independent_integration(switching_c: Native, part: str) -> None:
     config = plant()
     for axis in range(2):
         config = config.with_axis(axis, i_break=100.0, **PARTS[part])
@@ -34,7 +34,7 @@ def test_against_an_independent_integration(switching_c: Native, part: str) -> N
         reference.axes[axis].load = 0.01
     rnd = random.Random(5)
     edges = modulated(lambda period, axis: [rnd.uniform(0.2, 0.8) for _ in range(3)], 20)
-    # the leapfrog of the shaft: 4e-5 of a phase at 750 Hz, which is 0.06 rad/s after half a swing of 100 rad/s
+    # the leapfrog integration of the shaft: phase error 4e-5 at 750 Hz, 0.06 rad/s at an oscillation of 100 rad/s
     two = config.axes[0].load_inertia > 0.0
     roughness, amperes = (60.0, ANY_AMPERES) if two else (5.0, AMPERES)
     largest = compare(switching, reference, edges, 21 * PERIOD, step=1250, roughness=roughness, amperes=amperes)

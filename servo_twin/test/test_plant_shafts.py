@@ -1,4 +1,4 @@
-"""What real shafts, magnets and discs have, at both levels, against closed forms and an integration in fine steps."""
+"""Real shafts, magnets and encoder discs, at both levels, against closed forms and an integration in fine steps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def free(**axis: Any) -> PlantConfig:
 
 
 def watch(board: Board, periods: int) -> tuple[NDArray[np.float64], list[Truth]]:
-    """Truth of axis 1 at the end of each period of the PWM; time since the beginning [s]."""
+    """Time since the start [s] and truth of axis 1, at the end of each PWM period."""
     truths = []
     for _ in range(periods):
         board.advance(board.time_ns + PERIOD)
@@ -39,8 +39,8 @@ def values(truths: list[Truth], name: str) -> NDArray[np.float64]:
     return np.array([getattr(truth, name) for truth in truths])
 
 
-def swing(time: NDArray[np.float64], signal: NDArray[np.float64], near: float) -> tuple[float, float, float]:
-    """Frequency [Hz], amplitude and mean of a sine by least squares, its frequency near one that is given."""
+def fit_sine(time: NDArray[np.float64], signal: NDArray[np.float64], near: float) -> tuple[float, float, float]:
+    """Frequency [Hz], amplitude and mean of a sine by least squares; `near` is an estimate of the frequency [Hz]."""
     best = (math.inf, near, 0.0, 0.0)
     span = 0.03 * near
     for _ in range(7):
@@ -57,7 +57,7 @@ def swing(time: NDArray[np.float64], signal: NDArray[np.float64], near: float) -
 
 
 def stiffness(frequency: float, *inertias: float) -> float:
-    """Of a spring with which masses swing so fast."""
+    """Stiffness of a spring with which the masses oscillate at `frequency` [Hz]."""
     return (2.0 * math.pi * frequency) ** 2 / sum(1.0 / inertia for inertia in inertias)
 
 
@@ -70,7 +70,7 @@ def test_resonance_of_two_masses(level: Level, frequency: float) -> None:
         board.set_load(0, torque)
         time, truths = watch(board, 800)
     twist = values(truths, "theta_m") - values(truths, "theta_load")
-    seen, amplitude, mean = swing(time, twist, frequency)
+    seen, amplitude, mean = fit_sine(time, twist, frequency)
     expected = torque / load / (2.0 * math.pi * frequency) ** 2
     step = 7.9e-6
     assert seen == pytest.approx(frequency, rel=1e-6 + (2.0 * math.pi * frequency * step) ** 2 / 20.0)
@@ -87,7 +87,7 @@ def test_antiresonance_with_the_rotor_held(level: Level, frequency: float) -> No
         board.lock_shaft(0)
         board.set_load(0, 0.01)
         time, truths = watch(board, 800)
-    seen, _, _ = swing(time, values(truths, "theta_load"), frequency)
+    seen, _, _ = fit_sine(time, values(truths, "theta_load"), frequency)
     assert seen == pytest.approx(frequency, rel=5e-4)
     assert np.ptp(values(truths, "theta_m")) == 0.0
 
@@ -104,13 +104,13 @@ def test_damping_of_the_shaft(level: Level) -> None:
         board.set_load(0, 0.0)
         _, truths = watch(board, 640)
     twist = values(truths, "theta_m") - values(truths, "theta_load")
-    # the first and the last twelve periods of it
+    # the first and the last twelve periods of the oscillation
     early, late = (np.max(np.abs(part)) for part in (twist[:160], twist[-160:]))
     assert math.log(early / late) == pytest.approx(480 * PERIOD * 1e-9 * d / (2.0 * mu), rel=0.03)
 
 
 def test_energy_is_conserved_with_backlash(level: Level) -> None:
-    """A rotor and a mass that hit each other for ever lose nothing, and momentum is kept."""
+    """Elastic impacts of rotor and mass conserve energy and momentum."""
     rotor, load, gap, k = 0.8e-5, 1.2e-5, 0.02, 20.0
     config = free(load_inertia=load, shaft_stiffness=k, backlash=gap)
     with Board(config, level=level) as board:
@@ -123,14 +123,14 @@ def test_energy_is_conserved_with_backlash(level: Level) -> None:
     deep = np.maximum(np.abs(twist) - 0.5 * gap, 0.0)
     energy = 0.5 * rotor * omega_m**2 + 0.5 * load * omega_load**2 + 0.5 * k * deep**2
     momentum = rotor * omega_m + load * omega_load
-    assert np.sum(np.diff(np.sign(twist)) != 0) > 10, "it goes from flank to flank"
+    assert np.sum(np.diff(np.sign(twist)) != 0) > 10, "the gap is crossed in both directions"
     assert np.ptp(momentum) < 1e-6 * abs(momentum[0])
-    together = 0.5 * momentum[0] ** 2 / (rotor + load)  # of the common motion, which no contact can change
+    together = 0.5 * momentum[0] ** 2 / (rotor + load)  # of the common motion, which contacts do not change
     assert np.ptp(energy) < 0.02 * (energy.mean() - together)
 
 
 def test_backlash_is_the_distance_between_the_flanks(level: Level) -> None:
-    """Pushed to and fro with the rotor held, the mass comes to rest by the gap and twice the spring's way apart."""
+    """With the rotor locked and the mass pushed to either side: rest positions differ by gap + 2 torque / k."""
     gap, k, torque = 0.01, 5.0, 0.02
     config = free(load_inertia=1e-5, shaft_stiffness=k, shaft_damping=0.01, backlash=gap)
     rest = []
@@ -145,7 +145,7 @@ def test_backlash_is_the_distance_between_the_flanks(level: Level) -> None:
 
 
 def test_friction_holds_the_load_within_the_gap(level: Level) -> None:
-    """A rotor that turns less than the gap leaves a mass with friction where it is, and so does a pull below it."""
+    """A torque below the load friction does not move the mass within the gap."""
     config = free(load_inertia=1e-5, shaft_stiffness=50.0, backlash=0.05, load_friction=5e-3)
     with Board(config, level=level) as board:
         start = board.truth(0).theta_load
@@ -212,14 +212,14 @@ def test_invalid_shaft_is_refused(level: Level, changes: dict[str, float], text:
 
 
 def test_cogging_oscillation_and_holding_angle(level: Level) -> None:
-    """Around a stable angle it swings with sqrt(A N / J); with viscous friction it rests where sin = T / A."""
+    """Oscillation about a stable angle with sqrt(A N / J); with viscous friction the rotor rests where sin = T / A."""
     torque, periods, phase, inertia = 5e-3, 24.0, 0.4, 0.8e-5
-    rest = (math.pi - phase) / periods  # sin falls there
+    rest = (math.pi - phase) / periods  # the sine decreases there
     config = free(cogging_torque=torque, cogging_periods=periods, cogging_phase=phase, theta_start=rest + 1e-3)
     with Board(config, level=level) as board:
         time, truths = watch(board, 800)
     frequency = math.sqrt(torque * periods / inertia) / (2.0 * math.pi)
-    seen, amplitude, mean = swing(time, values(truths, "theta_m"), frequency)
+    seen, amplitude, mean = fit_sine(time, values(truths, "theta_m"), frequency)
     assert seen == pytest.approx(frequency, rel=1e-3)
     assert amplitude == pytest.approx(1e-3, rel=1e-2)
     assert mean == pytest.approx(rest, abs=1e-6)
@@ -272,7 +272,7 @@ def test_eccentric_disc_shows_an_error_once_per_turn(level: Level) -> None:
 
 
 def test_edges_of_an_eccentric_disc_keep_their_order(level: Level) -> None:
-    """A turn to and fro, the disc as far off as it may be: no count is lost."""
+    """One revolution in each direction with the largest permitted eccentricity: no count is lost."""
     with Board(free(disc_eccentricity=0.19, viscous=1e-5), level=level) as board:
         board.run(0.01)
         start = board.read_raw("axis1.position")[0], board.truth(0).theta_m
@@ -282,8 +282,8 @@ def test_edges_of_an_eccentric_disc_keep_their_order(level: Level) -> None:
         board.lock_shaft(0)
         board.run(0.01)
         end = board.read_raw("axis1.position")[0], board.truth(0).theta_m
-    way = [theta + 0.19 * math.sin(theta) for _, theta in (start, end)]
-    assert end[0] - start[0] == pytest.approx((way[1] - way[0]) * 4000.0 / (2.0 * math.pi), abs=1.5)
+    seen_angle = [theta + 0.19 * math.sin(theta) for _, theta in (start, end)]
+    assert end[0] - start[0] == pytest.approx((seen_angle[1] - seen_angle[0]) * 4000.0 / (2.0 * math.pi), abs=1.5)
 
 
 # ---- winding, iron, magnet -------------------------------------------------------------------------------------------
@@ -297,7 +297,7 @@ def root(current: float, scale: float) -> float:
 
 @pytest.mark.parametrize("current", [1.0, 3.0, -4.0])
 def test_inductance_falls_with_the_current(level: Level, current: float) -> None:
-    """A held rotor with a current: its inductances for small changes, and its torque, by the law's own root."""
+    """A locked rotor with a current: differential inductances and torque, by the root of the saturation law."""
     i_s = 3.0
     config = PlantConfig.load().with_axis(0, i_saturation_q=i_s, i_saturation_d=2.0 * i_s)
     with Board(config, level=level, seed=2) as board:
@@ -317,7 +317,7 @@ def test_inductance_falls_with_the_current(level: Level, current: float) -> None
     assert truth.torque_e == pytest.approx(torque, rel=1e-6)
 
 
-def test_warm_winding_and_magnet(level: Level) -> None:
+def test_a_warm_winding_and_magnet_change_the_motor(level: Level) -> None:
     config = PlantConfig.load().with_axis(0, winding_warms=1.0, magnet_coefficient=-0.002, magnet_time=0.05)
     axis = config.axes[0]
     with Board(config, level=level) as board:
@@ -336,7 +336,7 @@ def test_warm_winding_and_magnet(level: Level) -> None:
 
 
 def test_warm_magnet_lowers_the_voltage(level: Level) -> None:
-    """At a given speed the firmware needs the voltage of the back-EMF, which is down by 15 % at 100 deg C, and R i."""
+    """Voltage at a given speed: R i plus the back-EMF, which is 15 % lower at 100 deg C."""
     axis = PlantConfig.load().axes[0]
     speed = 150.0
     seen = []

@@ -1,4 +1,4 @@
-"""Child processes never outlive their parent, and say why they ended."""
+"""Child processes end with their parent and report the reason of their end."""
 
 from __future__ import annotations
 

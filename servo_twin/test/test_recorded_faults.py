@@ -1,4 +1,4 @@
-"""The record of a first fault against what really happened at the axis before it."""
+"""The record of a first fault against the true signals of the axis before it."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def column(record: FaultRecord, name: str) -> NDArray[np.float64]:
     return record.table[:, COLUMNS.index(name)]
 
 
-def press(board: Board, axis: int, i_q: float) -> None:
-    """Torque of an axis whose shaft is held fast."""
+def apply_torque(board: Board, axis: int, i_q: float) -> None:
+    """Lock the shaft of an axis and apply a torque."""
     board.lock_shaft(axis)
     board.write("cmd.mode", [2, 2])
     board.write("cmd.i_q", [i_q if k == axis else 0.0 for k in range(2)])
@@ -44,13 +44,13 @@ def fault(record: FaultRecord) -> str:
 
 
 @AXES
-def test_the_samples_are_the_currents_of_the_32_ms_before_the_fault(board: Board, axis: int) -> None:
-    """A known current, another one from 16 ms before an over-current on; the shaft is held fast."""
-    press(board, axis, 0.5)
+def test_record_contains_the_currents_of_the_32_ms_before_the_fault(board: Board, axis: int) -> None:
+    """A known current, changed to another one 16 ms before an over-current; the shaft is locked."""
+    apply_torque(board, axis, 0.5)
     board.run(0.05)
     theta = board.truth(axis).theta_m * board.plant.axes[axis].pole_pairs
     changed = board.time_ns * 1e-9
-    press(board, axis, -1.5)
+    apply_torque(board, axis, -1.5)
     board.run(0.016)
     broken = board.time_ns * 1e-9
     board.inject(ShortedPhase(axis, "a"))
@@ -75,7 +75,7 @@ def test_the_samples_are_the_currents_of_the_32_ms_before_the_fault(board: Board
 @AXES
 @pytest.mark.parametrize("name", ["UNDER_VOLTAGE", "PHASE_LOST"])
 def test_times_of_the_samples_agree_with_the_motion_of_the_shaft(board: Board, axis: int, name: str) -> None:
-    """In each of its electrical turns of 31 ms, and whether a watch has raised the fault or something else."""
+    """Electrical revolutions of 31 ms; faults raised by a monitor and by another check."""
     board.write("cmd.mode", [1, 1])
     board.write("cmd.speed", [100.0, -100.0])
     board.run(0.2)
@@ -98,7 +98,7 @@ def test_times_of_the_samples_agree_with_the_motion_of_the_shaft(board: Board, a
     pole_pairs = board.plant.axes[axis].pole_pairs
     wrong = column(it, "theta_e") - pole_pairs * np.interp(time, moment, theta)
     wrong = (wrong + math.pi) % (2.0 * math.pi) - math.pi
-    # An angle is read in the middle of its period; axis 2 is watched before it is read again.
+    # An angle is read in the middle of its period; the monitors of axis 2 run before it is read again.
     maximum = pole_pairs * (2.0 * PERIOD * 100.0 * 1.05 + 2.0 * math.pi / COUNTS_PER_TURN)
     np.testing.assert_array_less(np.abs(wrong[seen]), maximum)
     np.testing.assert_allclose(column(it, "speed")[seen], np.interp(time, moment, omega)[seen], atol=3.0)
@@ -107,7 +107,7 @@ def test_times_of_the_samples_agree_with_the_motion_of_the_shaft(board: Board, a
 
 @AXES
 def test_a_second_fault_does_not_overwrite_the_first(board: Board, axis: int) -> None:
-    press(board, axis, 0.5)
+    apply_torque(board, axis, 0.5)
     board.run(0.05)
     board.inject(HotPowerStage(axis, 120.0))
     board.run(0.01)
@@ -123,7 +123,7 @@ def test_a_second_fault_does_not_overwrite_the_first(board: Board, axis: int) ->
 
 @AXES
 def test_a_fault_after_clearing_is_a_first_one_again(board: Board, axis: int) -> None:
-    press(board, axis, 0.5)
+    apply_torque(board, axis, 0.5)
     board.run(0.05)
     short = ShortedPhase(axis, "a")
     board.inject(short)

@@ -1,4 +1,4 @@
-"""The running servo with one register wrong at a time: each shows what it would show on silicon."""
+"""The running servo with one wrong register at a time: each has the effect that it has on silicon."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ KINDS = (
 
 
 class Event(NamedTuple):
-    """What a logic analyser on the chip shows."""
+    """An event as a logic analyser on the chip would show it."""
 
     clock: int
     kind: str
@@ -55,7 +55,7 @@ def sm(module: int, submodule: int, register: int) -> int:
 
 @pytest.fixture
 def board() -> Iterator[Board]:
-    """Loops at work, outputs off."""
+    """Running loops, outputs off."""
     with Board(seed=5, level="registers") as board:
         board.run(0.005)
         yield board
@@ -81,14 +81,14 @@ def clocks(events: Iterable[Event], kind: str, a: int, b: int | None = None) -> 
 
 
 def poke_pwm(board: Board, module: int, submodule: int, register: int, value: int) -> None:
-    """A buffered register: it counts from the next reload on."""
+    """Write a buffered register; the value is effective after the next reload."""
     poke_buffered(board, sm(module, submodule, register), value)
     board.poke(module + MCTRL, LOAD_ALL)
     board.run(2 * PERIOD_S)
 
 
 def loops(events: Iterable[Event]) -> list[int]:
-    """Order in which the loops and the start interrupt have run."""
+    """Vectors of the loops and the start interrupt, in the order of their runs."""
     return [e.a for e in events if e.kind == "enter" and e.a in (M1, M2, START)]
 
 
@@ -155,7 +155,7 @@ def test_early_interrupt_leaves_m1_without_results(board: Board) -> None:
     assert resets_by_watchdog(board)
 
 
-def test_without_pause_everything_is_sampled_at_once(board: Board) -> None:
+def test_without_pause_all_pairs_are_sampled_in_one_scan(board: Board) -> None:
     board.poke(SCTRL, 0)
     events = trace(board, 4 * PERIOD_S)
     trigger = clocks(events, "cycle", 0)[-2]
@@ -164,20 +164,20 @@ def test_without_pause_everything_is_sampled_at_once(board: Board) -> None:
     assert resets_by_watchdog(board)
 
 
-def test_too_few_pairs(board: Board) -> None:
+def test_too_few_pairs_end_in_a_watchdog_reset(board: Board) -> None:
     board.poke(SDIS, 0xF0F0)
     assert {e.a for e in trace(board, 2 * PERIOD_S) if e.kind == "sample"} <= {0, 1, 2, 3, 8, 9, 10, 11}
     assert resets_by_watchdog(board)
 
 
 @pytest.mark.parametrize("term", [0x00DF, 0x7F00])
-def test_only_one_motor_triggers(board: Board, term: int) -> None:
+def test_trigger_of_one_motor_only_ends_in_a_watchdog_reset(board: Board, term: int) -> None:
     board.poke(0xE380, term)
     assert resets_by_watchdog(board)
 
 
 def test_wrong_converter_clock_is_corrected(board: Board) -> None:
-    """The pairs are four times as far apart; M1 finds the scan unfinished and starts anew with the right divider."""
+    """The sample interval is four times as long; M1 detects the unfinished scan and restarts with the right divider."""
     board.poke(ADC_CTRL2, 0x0053)
     events = trace(board, 3 * PERIOD_S)
     samples = [e.clock for e in events if e.kind == "sample" and e.a < 8]
@@ -188,8 +188,8 @@ def test_wrong_converter_clock_is_corrected(board: Board) -> None:
     assert not resets_by_watchdog(board)
 
 
-def test_full_cycle_reload(board: Board) -> None:
-    """New duties come into force half a period later."""
+def test_a_full_cycle_reload_is_half_a_period_later(board: Board) -> None:
+    """New duties are loaded half a period later."""
 
     def reload() -> int:
         board.poke(PWMA + MCTRL, LOAD_ALL)
@@ -219,7 +219,9 @@ def test_a_wrong_channel_causes_a_fault_of_its_axis_only(spinning: Board) -> Non
     ("register", "value"),
     [(sm(PWMA, 1, INTEN), 0), (sm(PWMA, 1, TCTRL), 0), (sm(PWMB, 0, TCTRL), 0), (ADC_CTRL1, 0x1005)],
 )
-def test_a_lost_interrupt_or_trigger_starts_the_sequence_anew(board: Board, register: int, value: int) -> None:
+def test_a_lost_interrupt_or_trigger_restarts_the_sequence_without_a_reset(
+    board: Board, register: int, value: int
+) -> None:
     board.poke(register, value)
     order = loops(trace(board, 12 * PERIOD_S))
     assert order.count(START) == 1
@@ -232,8 +234,8 @@ def test_a_lost_interrupt_or_trigger_starts_the_sequence_anew(board: Board, regi
     assert not resets_by_watchdog(board)
 
 
-def test_interrupt_without_level(board: Board) -> None:
-    """Switched off in the controller, nothing in the port brings it back."""
+def test_interrupt_disabled_in_the_controller_is_not_restored(board: Board) -> None:
+    """An interrupt disabled in the interrupt controller is not enabled again by the port."""
     board.poke(0xE309, board.peek(0xE309) & ~0x0300)
     assert M1 not in loops(trace(board, 4 * PERIOD_S))
     assert resets_by_watchdog(board)
@@ -263,7 +265,7 @@ def test_gates_keep_the_dead_time_of_the_registers(board: Board, dead_time: int)
 
 
 def pulses(board: Board) -> list[int]:
-    """Switch phase a on without dead time; clocks between the changes of its gates from then on."""
+    """Enable phase a without dead time; return the clocks between the following changes of its gates."""
     for register in (DTCNT0, DTCNT1):
         board.poke(sm(PWMA, 0, register), 0)
     board.poke(PWMA + OUTEN, 0x0770)
@@ -272,7 +274,7 @@ def pulses(board: Board) -> list[int]:
 
 
 def test_no_dead_time_shorts_the_bus(board: Board) -> None:
-    """The comparator switches off behind its filter of 100 ns, without software."""
+    """The comparator opens the switches after its filter of 100 ns, without software."""
     assert pulses(board) == [10]
     assert board.stats().breaks == 1
     board.run(0.005)
@@ -284,10 +286,10 @@ def test_a_fault_that_is_not_mapped_waits_for_software(board: Board) -> None:
     board.poke(PWMA + FCTRL0, 0x1010)  # without an interrupt
     for submodule in range(3):
         board.poke(sm(PWMA, submodule, DISMAP0), 0xFF00)
-    assert pulses(board)[0] > 100  # until a loop looks
+    assert pulses(board)[0] > 100  # until a loop reads the flag
     assert board.peek(PWMA + FSTS0) & 1
     board.run(0.005)
-    assert faults(board, 0) == {"OVER_CURRENT"}  # by asking
+    assert faults(board, 0) == {"OVER_CURRENT"}  # by polling
 
 
 def test_a_wrong_fault_level_is_an_over_current_of_its_axis(board: Board) -> None:
@@ -302,7 +304,7 @@ def test_a_wrong_fault_level_is_an_over_current_of_its_axis(board: Board) -> Non
 
 
 def lost(board: Board, seconds: float) -> float:
-    """Counts by which axis 1 falls behind its shaft."""
+    """Counts of axis 1 that are missing relative to the shaft."""
     (position,), theta = numbers(board.read("axis1.position")), board.truth(0).theta_m
     board.run(seconds)
     count = 2.0 * np.pi / 4000.0
@@ -322,7 +324,7 @@ def test_wrong_compare_loses_a_count_per_turn(spinning: Board, speed: float, com
 
 
 def test_the_other_compare_does_not_matter(spinning: Board) -> None:
-    spinning.poke(TMRA + 1, 0xF062)  # counts when it turns back only
+    spinning.poke(TMRA + 1, 0xF062)  # matters only when the shaft reverses
     assert abs(lost(spinning, 0.3)) < 4
 
 
@@ -346,7 +348,7 @@ def test_time_stamps_at_twice_the_clock_halve_the_speed(spinning: Board) -> None
 
 
 def test_without_reload_on_capture_a_slow_shaft_seems_slower(spinning: Board) -> None:
-    """TMRA3 no longer tells the age of the last edge; the enhanced M/T method reports that the shaft has stopped."""
+    """TMRA3 no longer measures the age of the last edge; the enhanced M/T method reports standstill."""
     set_speed(spinning, 2.0)
     spinning.run(0.3)
 

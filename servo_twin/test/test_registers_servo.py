@@ -1,4 +1,4 @@
-"""The whole servo on registers and switching plant: from power-on to moves, beside the ideal level, through a reset."""
+"""The whole servo on registers and switching plant: power-on, moves compared with the ideal level, reset."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def of(log: NDArray[np.void], kind: int, a: int) -> NDArray[np.uint64]:
 # ---- start (DRM 4.3.3) ----------------------------------------------------------------------------------------------
 
 
-def test_from_power_on(board: Board) -> None:
-    """The start interrupt runs once, lies behind motor 2's point, and the first sample is motor 1's."""
+def test_start_sequence_runs_once_after_power_on(board: Board) -> None:
+    """The start interrupt runs once, after motor 2's sampling point; the first sample is motor 1's."""
     log = board.trace(20 * PERIOD_NS)
     start = of(log, ENTER, START)
     assert start.size == 1
@@ -54,17 +54,17 @@ def test_from_power_on(board: Board) -> None:
     assert samples["clock"][0] > start[0]
     in_period = int(start[0] - of(log, CYCLE, 0)[of(log, CYCLE, 0) < start[0]][-1])
     assert HALF + 100 < in_period < PERIOD - 500
-    assert not (log["kind"] == GATES).any()  # no switch has moved
+    assert not (log["kind"] == GATES).any()  # no switch has changed
 
 
-def test_time_begins_with_the_loops(board: Board) -> None:
+def test_simulated_time_begins_with_the_loops(board: Board) -> None:
     assert board.time_ns == 0
     board.run(0.001)
     assert board.read("tick") == 16
 
 
 def test_both_loops_end_before_their_duties_are_loaded(holding: Board) -> None:
-    """F38: each handler is done before the other motor's half period."""
+    """F38: each handler ends before the half period of the other motor."""
     log = holding.trace(holding.time_ns + 40 * PERIOD_NS)
     for vector, submodule in ((M1, 0), (M2, 4)):
         ends, loads = of(log, LEAVE, vector).astype(np.int64), of(log, LOAD, submodule).astype(np.int64)
@@ -96,17 +96,17 @@ def travel(level: Level) -> NDArray[np.void]:
         return log
 
 
-def test_moves_as_the_ideal_level_does() -> None:
+def test_moves_agree_with_the_ideal_level() -> None:
     registers, ideal = travel("registers"), travel("ideal")
     assert registers.size == ideal.size
     for n in (1, 2):
         apart = registers[f"axis{n}.position"].astype(np.int64) - ideal[f"axis{n}.position"].astype(np.int64)
-        assert np.abs(apart).max() <= 40  # of 16000 on the way, where 1 ms is 200
+        assert np.abs(apart).max() <= 40  # of a move of 16000 counts; 1 ms is 200 counts
 
 
 @pytest.mark.parametrize("speed", [250.0, -250.0])
 def test_measured_current_is_the_mean_current(holding: Board, speed: float) -> None:
-    """Sampled in the middle of the low sides' conduction; 0.5 us beside it were 8 mA of a wrong sign."""
+    """Sampled in the middle of the low-side conduction; an error of 0.5 us would be 8 mA of the wrong sign."""
     holding.write("cmd.mode", [1, 1])
     holding.write("cmd.speed", [speed, speed])
     for axis in (0, 1):
@@ -134,7 +134,7 @@ def test_position_is_that_of_the_shaft(holding: Board) -> None:
 
 
 def test_no_trigger_is_ever_lost(holding: Board) -> None:
-    """Full speed both ways, every feature on: the sequence never has to start anew."""
+    """Full speed in both directions, all features on: the sequence never restarts."""
     holding.write("param.features", [0x4F, 0x4F])
     holding.write("cmd.mode", [1, 1])
     for speed in (300.0, -300.0):
@@ -148,7 +148,7 @@ def test_no_trigger_is_ever_lost(holding: Board) -> None:
 # ---- reset ----------------------------------------------------------------------------------------------------------
 
 
-def test_comes_back_after_the_watchdog(holding: Board) -> None:
+def test_servo_restarts_after_a_watchdog_reset(holding: Board) -> None:
     holding.poke(IPR_M1, holding.peek(IPR_M1) & ~0x0300)
     holding.run(0.1)
     assert holding.peek(0xE401) & COP_RESET

@@ -1,4 +1,4 @@
-"""The runner of many boards: same results wherever they run, and a worker that dies costs only what it had in hand."""
+"""The runner of many boards: results are independent of the workers; a crashed worker loses only its present trial."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NUMBERS = range(40)
 class Square:
     """Work without a board."""
 
-    seconds: float = 0.0
+    seconds: float = 0.0  # duration of a trial [s]
 
     def run(self, number: int) -> int:
         time.sleep(self.seconds)
@@ -39,7 +39,7 @@ class Square:
 
 @dataclass(frozen=True)
 class DiesOnce:
-    """Kills its process in one trial, but leaves a mark and does not do so again."""
+    """Kills its process in the first attempt at one trial."""
 
     marks: Path
     number: int
@@ -83,7 +83,7 @@ def test_results_do_not_depend_on_the_number_of_workers(workers: int) -> None:
     assert results == [number * number for number in NUMBERS]
 
 
-def test_more_workers_than_trials() -> None:
+def test_workers_may_outnumber_the_trials() -> None:
     assert run_in_order(Runner(8), Square(), [3], "squares") == [9]
     assert run_in_order(HERE, Square(), [], "squares") == []
 
@@ -144,7 +144,7 @@ def test_workers_end_with_an_abandoned_run() -> None:
 
 
 def _children() -> set[int]:
-    """Processes that we have started, but for the tracker of shared resources."""
+    """Child processes of this process, without the tracker of shared resources."""
     found = Path(f"/proc/self/task/{os.getpid()}/children").read_text(encoding="ascii").split()
     return {pid for pid in map(int, found) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()}
 
@@ -224,7 +224,7 @@ def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("number", range(0, 10, 3))
 def test_a_trial_of_the_fault_campaign_is_the_same_in_another_process(number: int) -> None:
-    """Its functions cannot travel: it is drawn again there."""
+    """Functions of a trial cannot be pickled, so the trial is drawn again in the other process."""
     trial = fault_campaign.draw(PlantConfig.load().with_bus(u_source=23.0), 3, number, ["slow", "axis2"])
     other = pickle.loads(pickle.dumps(trial))
     for it in ("seed", "number", "motor", "plant", "motors"):

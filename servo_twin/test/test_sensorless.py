@@ -1,4 +1,4 @@
-"""An axis without an encoder on the virtual board: from rest, caught, loaded, stalled; and the check of an encoder."""
+"""A sensorless axis on the virtual board: start-up, flying start, load, stall; angle check with an encoder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ READY, SPIN, FREEWHEEL, STARTUP = 1, 3, 4, 5
 PAIRS = 2
 LIMIT_SENSORLESS = 128
 UNKNOWN = 0.35 / math.sqrt(2.0)
-"""What dead time and switches leave of the voltage, root mean square [V] (emf_check.floor)."""
+"""Voltage error of dead time and switches, root mean square [V] (emf_check.floor)."""
 
 
 def sensorless(
@@ -66,7 +66,7 @@ def until_fault(board: Board, seconds: float, axis: int = 0) -> tuple[float, lis
 
 
 def angle_errors(board: Board, ticks: int, axis: int = 0) -> NDArray[np.float64]:
-    """Observed less true electrical angle [degrees]; the angle is of the last sample, the truth of the tick's end."""
+    """Observed angle of the last sample minus true angle at the end of the tick [electrical degrees]."""
     errors = []
     for _ in range(ticks):
         board.advance(board.time_ns + TICK_NS)
@@ -90,7 +90,7 @@ def running() -> Iterator[Board]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_start_up_time_agrees_with_the_slide(seed: int) -> None:
-    """ST slide "起动实例": the criterion is met within 500 ms. Both axes at once, each its own way."""
+    """ST slide "起动实例": the criterion is met within 500 ms. Both axes start at once in different directions."""
     with sensorless((100.0, -200.0), seed=seed) as board:
         assert until(board, SPIN, 0.5) < 0.35
         assert until(board, SPIN, 0.5, axis=1) < 0.35
@@ -101,10 +101,10 @@ def test_start_up_time_agrees_with_the_slide(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("speed", "spread"), [(16.0, 4.0), (-30.0, 2.0), (150.0, 1.5), (300.0, 1.0), (-300.0, 1.0)])
-def test_angle_over_speed(speed: float, spread: float) -> None:
-    """From 5 % of the top speed: the ripple of the dead time is small, and the mean of the angle true.
+def test_angle_error_is_small_at_every_speed(speed: float, spread: float) -> None:
+    """From 5 % of the top speed the ripple of the dead time is small, and the mean angle is correct.
 
-    At low speed a current along the rotor drops some millivolts at switches (30 mohm) that the observer cannot know.
+    At low speed the voltage drop of the d current at the switches (30 mohm), unknown to the observer, is significant.
     """
     unknown = 0.03 * 0.75 if abs(speed) < 40.0 else 0.0
     bias = 1.0 + math.degrees(unknown / (2 * abs(speed) * 0.0154))
@@ -119,7 +119,7 @@ def test_angle_over_speed(speed: float, spread: float) -> None:
 
 
 def test_hand_over_has_no_jump() -> None:
-    """From the forced vector to the rotor's frame within a PWM period: no peak of the current, no dent of the speed."""
+    """Change from the forced vector to the rotor frame within a PWM period: no current peak, no dip of the speed."""
     with sensorless((100.0, 0.0)) as board:
         until(board, SPIN, 0.5)
         before = board.truth(0).omega_m
@@ -134,7 +134,7 @@ def test_hand_over_has_no_jump() -> None:
 
 @pytest.mark.parametrize("speed", [60.0, 250.0, -200.0])
 def test_flying_start_of_a_turning_shaft(speed: float) -> None:
-    """Outputs off at speed, and enabled again: no ramp, no jerk, within 100 ms."""
+    """Outputs off at speed, then enabled: no ramp and no jerk; ready within 100 ms."""
     with sensorless((speed, 0.0)) as board:
         until(board, SPIN, 0.5)
         board.run(0.4)
@@ -168,8 +168,8 @@ def test_a_load_step_does_not_stop_the_shaft(running: Board) -> None:
 
 
 @pytest.mark.parametrize(("speed", "torque"), [(16.0, 0.05), (-16.0, -0.05), (60.0, 0.1), (100.0, 0.12)])
-def test_hard_load_step(speed: float, torque: float) -> None:
-    """An active load, several times what takes all speed before the angle tells: it comes and goes."""
+def test_heavy_load_step_does_not_stop_the_shaft(speed: float, torque: float) -> None:
+    """An active load, several times the load that stops the shaft before the observer reacts, applied and removed."""
     with sensorless((speed, 0.0)) as board:
         until(board, SPIN, 0.5)
         board.run(0.4)
@@ -185,7 +185,7 @@ def test_hard_load_step(speed: float, torque: float) -> None:
 
 
 def test_no_ripple_without_load() -> None:
-    """Currents near zero leave the voltage to the dead time; the current along the rotor keeps them away from it."""
+    """With currents near zero the dead time dominates the voltage; the d current prevents that."""
     with sensorless((100.0, 0.0)) as board:
         until(board, SPIN, 0.5)
         board.run(0.5)
@@ -199,8 +199,8 @@ def test_no_ripple_without_load() -> None:
 def test_position_counts_what_the_shaft_turns(running: Board) -> None:
     start, counts = running.truth(0).theta_m, running.read_raw("axis1.position")[0]
     running.run(1.0)
-    turned = (running.truth(0).theta_m - start) / (2.0 * math.pi) * 4000
-    assert running.read_raw("axis1.position")[0] - counts == pytest.approx(turned, abs=30)
+    rotation = (running.truth(0).theta_m - start) / (2.0 * math.pi) * 4000
+    assert running.read_raw("axis1.position")[0] - counts == pytest.approx(rotation, abs=30)
 
 
 def test_reversal_goes_through_a_new_start(running: Board) -> None:
@@ -231,7 +231,7 @@ def test_no_position_without_an_encoder(running: Board) -> None:
 
 
 def test_torque_mode_starts_only_with_a_turning_shaft(running: Board) -> None:
-    """The start-up would turn the shaft with a current of its own, whatever torque is asked for: it needs a speed."""
+    """The start-up rotates the shaft with its own current, independent of the torque set-point."""
     choose_mode(running, 0, "TORQUE")
     set_axis(running, "cmd.i_q", 0, 0.3)
     running.run(0.05)
@@ -257,7 +257,7 @@ def test_disable_ramps_down_and_switches_off(running: Board) -> None:
 
 @pytest.mark.parametrize(("speed", "within"), [(20.0, 0.132), (100.0, 0.08), (300.0, 0.08)])
 def test_stalled_rotor_is_detected(speed: float, within: float) -> None:
-    """Near the minimum speed within what the experiment `stall` allows; most moments of the turn give 45 ms."""
+    """Near the minimum speed the bound is that of the experiment `sensorless-stall`; at most angles it takes 45 ms."""
     with sensorless((speed, -100.0)) as board:
         until(board, SPIN, 0.5)
         until(board, SPIN, 0.5, axis=1)
@@ -285,7 +285,7 @@ def test_unplugged_motor_does_not_start() -> None:
         assert until_fault(board, 3.0)[1] == ["PHASE_LOST"]
 
 
-def test_the_same_on_the_registers_of_the_chip() -> None:
+def test_start_up_works_at_level_registers() -> None:
     with sensorless((100.0, 0.0), level="registers") as board:
         until(board, SPIN, 0.5)
         board.run(0.15)
@@ -296,7 +296,7 @@ def test_the_same_on_the_registers_of_the_chip() -> None:
 
 
 def with_encoders(plant: PlantConfig | None = None) -> Board:
-    """Both axes spinning with their encoders under the eyes of the observer."""
+    """Both axes spinning with their encoders and the angle check."""
     board = Board(plant, seed=1)
     board.run(0.05)
     enable(board)
@@ -305,7 +305,7 @@ def with_encoders(plant: PlantConfig | None = None) -> Board:
 
 
 def slip(board: Board, degrees: float) -> None:
-    """Turn the encoder of axis 1 on its shaft by an electrical angle."""
+    """Rotate the encoder of axis 1 on its shaft by an electrical angle."""
     choose_mode(board, 0, "TORQUE")
     set_axis(board, "cmd.i_q", 0, 0.0)
     board.run(0.001)
@@ -315,7 +315,7 @@ def slip(board: Board, degrees: float) -> None:
 
 
 def fault_of_offset(board: Board, degrees: float, seconds: float) -> tuple[float, list[str]]:
-    """Ask axis 1 for 100 rad/s with its encoder off by an electrical angle: time until a fault, and its name."""
+    """Time until a fault, and its name, after a command of 100 rad/s with an encoder offset [electrical degrees]."""
     slip(board, degrees)
     features(board, 0, ANGLE_CHECK=True)
     choose_mode(board, 0, "SPEED")
@@ -333,7 +333,7 @@ def test_wrong_offset_is_detected_before_a_runaway(degrees: float, maximum: floa
 
 
 def test_offset_of_90_degrees_is_detected_by_a_rotating_vector() -> None:
-    """No current makes torque, no back-EMF tells; ten degrees to either side one does."""
+    """At 90 degrees no current produces torque, so there is no back-EMF; at 80 and 100 degrees there is."""
     with with_encoders() as board:
         time, names = fault_of_offset(board, 90.0, 1.0)
         assert names == ["ANGLE_MISMATCH"]
@@ -358,7 +358,7 @@ def test_dead_encoder_of_a_turning_shaft_is_detected(mode: str) -> None:
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
 def test_no_false_alarm(factor: float) -> None:
-    """Speeds, reversals, load steps up to the current limit; the nominal resistance, and half as much more."""
+    """Speeds, reversals, load steps up to the current limit; nominal resistance and 150 % of it."""
     plant = PlantConfig.load().with_bus(capacitance=0.05)  # both may brake at once
     for axis in range(2):
         plant = plant.with_axis(axis, r_s=plant.axes[axis].r_s * factor)
@@ -391,9 +391,9 @@ def test_observer_agrees_with_the_encoder() -> None:
                 assert isinstance(seen, float)
                 assert isinstance(encoder, float)
                 angles.append(math.degrees(math.remainder(seen - encoder, 2.0 * math.pi)))
-            # the rotor search leaves a degree or two of the friction's doing
+            # error of the rotor search by friction: one or two degrees
             assert abs(np.mean(angles)) < 6.0
-            # without load the currents are too small to tell what the switches take, which the averaged plant knows
+            # without load the currents are too small to determine the voltage drop of the switches
             unknown = 0.0 if board.level == "ideal" else UNKNOWN / (PAIRS * abs(speed) * board.plant.axes[0].psi_m)
             assert np.std(angles) < 1.5 + math.degrees(unknown)
             assert np.mean(speeds) == pytest.approx(speed, abs=4.0)

@@ -13,7 +13,7 @@ from servo_twin.simulation import SimulationError, enable, move, turns
 
 
 def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of five boards, as chance decides where friction leaves a shaft: of 160 moves some 5 % go three counts too far
+    """Five boards, as the rest position within the friction is random: of 160 moves some 5 % overshoot by three counts
     and may rest there, and of 80 moves 7 % creep over the last counts for more than half a second."""
     beyond, resting, settling = [], [], []
     for seed in range(3, 8):
@@ -30,9 +30,9 @@ def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFi
     assert len(beyond) == 10
     assert max(beyond + resting) <= 3
     assert max(settling) < 1.5
-    assert sorted(settling)[6] < 0.5  # of ten moves four would be above with a probability of 0.5 %
+    assert sorted(settling)[6] < 0.5  # probability that four of ten moves are above: 0.5 %
     for counts in (sorted(beyond), sorted(resting)):
-        assert counts[7] <= 2  # of ten moves three would be above with a probability of 1 %
+        assert counts[7] <= 2  # probability that three of ten moves are above: 1 %
 
 
 def test_output_depends_only_on_the_seed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,12 +18,12 @@ pytestmark = pytest.mark.usefixtures("level")
 
 PLANT = PlantConfig.load()
 STALL = 0.5
-"""Time at full current without movement before the vector turns [s] (timing.stall_max)."""
+"""Time at full current without movement before the stall test [s] (timing.stall_max)."""
 
 PROOF = 0.4
-"""Time of its turns to both sides and back [s] (rotor_search.turn_time)."""
+"""Duration of the rotation of the vector to both sides and back [s] (rotor_search.turn_time)."""
 
-ON_THE_WAY = 0.2  # to full current, and until the M/T method takes a shaft for still [s]
+ON_THE_WAY = 0.2  # ramp to full current, and detection of standstill by the M/T method [s]
 
 
 def started(plant: PlantConfig = PLANT) -> Board:
@@ -46,7 +46,7 @@ def rough(axis: int, factor: float) -> PlantConfig:
 
 
 def slip(board: Board, axis: int, degrees: float) -> None:
-    """By an electrical angle."""
+    """Slip the encoder by an electrical angle [degrees]."""
     motor = board.plant.axes[axis]
     board.inject(SlippedEncoder(axis, round(degrees / 360.0 * 4 * motor.encoder_lines / motor.pole_pairs)))
     board.run(0.002)
@@ -58,7 +58,7 @@ def speed(board: Board, axis: int, rad_per_s: float) -> None:
 
 
 def until_fault(board: Board, axis: int, seconds: float) -> tuple[float, set[str], float]:
-    """Time to the first fault, its name, and the largest speed on the way."""
+    """Time until the first fault, its name, and the largest speed before it."""
     fastest = 0.0
     for k in range(round(seconds / TICK)):
         if names := faults(board, axis):
@@ -73,11 +73,15 @@ def until_fault(board: Board, axis: int, seconds: float) -> tuple[float, set[str
 
 @pytest.mark.parametrize("counts", [300, -1500, 9000])
 def test_slipping_disc_changes_the_count_without_motion(counts: int) -> None:
-    """Also through the compare values of the counter."""
+    """Also across the compare values of the counter."""
     with Board(seed=1) as board:
         board.run(0.05)
         before, angle = board.read_raw("axis2.position")[0], board.truth(1).theta_m
-        for part in (counts // 3, counts // 3, counts - 2 * (counts // 3)):  # the count tells half a turn at a time
+        for part in (
+            counts // 3,
+            counts // 3,
+            counts - 2 * (counts // 3),
+        ):  # the counter resolves at most half a revolution at a time
             for piece in (part // 2, part - part // 2):
                 board.inject(SlippedEncoder(1, piece))
                 board.run(0.002)
@@ -91,7 +95,7 @@ def test_slipping_disc_changes_the_count_without_motion(counts: int) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("degrees", [60.0, 120.0, -150.0, 180.0, 270.0])
-def test_a_slip_in_motion_is_named_before_the_shaft_gains_speed(board: Board, axis: int, degrees: float) -> None:
+def test_a_slip_in_motion_is_reported_before_the_shaft_gains_speed(board: Board, axis: int, degrees: float) -> None:
     speed(board, axis, 100.0)
     board.run(0.3)
     slip(board, axis, degrees)
@@ -104,8 +108,8 @@ def test_a_slip_in_motion_is_named_before_the_shaft_gains_speed(board: Board, ax
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize(("degrees", "friction"), [(120.0, 1.0), (180.0, 2.0), (240.0, 20.0)])
-def test_a_slip_at_rest_is_named_when_the_shaft_is_asked_to_move(axis: int, degrees: float, friction: float) -> None:
-    """The torque has the wrong sign, and the shaft goes the wrong way with all there is."""
+def test_a_slip_at_rest_is_reported_when_a_motion_is_commanded(axis: int, degrees: float, friction: float) -> None:
+    """The torque has the wrong sign, so the shaft accelerates in the wrong direction at full current."""
     with started(rough(axis, friction)) as board:
         slip(board, axis, degrees)
         speed(board, axis, 100.0)
@@ -148,8 +152,8 @@ def rough_board() -> Iterator[Board]:
         yield board
 
 
-def test_an_angle_without_torque_in_motion(rough_board: Board) -> None:
-    """Where nothing tells the voltage the shaft runs down first."""
+def test_an_angle_without_torque_in_motion_is_an_angle_mismatch(rough_board: Board) -> None:
+    """Without the measured bus voltage the slip is detected after the shaft has slowed down."""
     board = rough_board
     features(board, 0, BUS_COMPENSATION=False)
     speed(board, 0, 60.0)
@@ -173,7 +177,7 @@ def test_blocked_shaft_is_reported_as_stalled(board: Board, sign: float) -> None
 @pytest.mark.parametrize("room", [0.0, 0.005])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_shaft_at_an_end_stop_is_reported_as_stalled(board: Board, sign: float, room: float) -> None:
-    """The vector that turns pulls it back, as far as there is room: none but some backlash, or all."""
+    """The rotating vector pulls the shaft back: freely (`room` 0) or by some backlash only."""
     back = math.inf if room == 0.0 else room
     board.obstruct_shaft(0, back if sign > 0.0 else 0.01, 0.01 if sign > 0.0 else back)
     speed(board, 0, 60.0 * sign)
@@ -194,14 +198,14 @@ def test_shaft_released_during_the_stall_test_is_reported_as_stalled(board: Boar
     board.lock_shaft(0, False)
     _, names, fastest = until_fault(board, 0, 1.0)
     assert names == {"STALLED"}
-    assert fastest < 100.0  # it was pressed with the full current
+    assert fastest < 100.0  # it was released under full current
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_load_as_large_as_the_current_limit_is_a_stall(board: Board, axis: int) -> None:
     speed(board, axis, 0.0)
     torque = 4.0 * PLANT.axes[axis].torque_constant
-    for k in range(100):  # not at once, or it is faster than the controller
+    for k in range(100):  # gradually, because the controller cannot follow a step
         board.set_load(axis, torque * (k + 1) / 100)
         board.run(0.002)
     speed(board, axis, 60.0)

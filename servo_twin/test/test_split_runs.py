@@ -1,4 +1,4 @@
-"""A board is a function of its inputs: how a run is split into calls, and who looks meanwhile, changes nothing."""
+"""A board is a function of its inputs: splitting a run into calls and reading between them have no effect."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TAIL = 20 * MS  # recorded at the end of both runs
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
 
 Input = tuple[int, Callable[[Board], object]]
-"""A time [ns], and what is done to the board then."""
+"""A time [ns] and the input of the board at that time."""
 
 
 def sends(variable: str, *values: float) -> Callable[[Board], object]:
@@ -80,13 +80,13 @@ RUNS: Final[dict[str, list[Input]]] = {
 
 
 def state(board: Board) -> list[Any]:
-    """Everything that can be read of a board."""
+    """All readable values of a board."""
     values = [board.read_raw(name) for name in board.catalogue.variables]
-    return [board.time_ns, values, [astuple(board.truth(axis)) for axis in range(AXES)], astuple(board.stats())]
+    return [board.time_ns, values, [board.truth(axis) for axis in range(AXES)], astuple(board.stats())]
 
 
 class Recorder:
-    """Leads a board, and keeps what it sends and the telemetry of its recorded pieces."""
+    """Runs a board; records the bytes that it sends and its telemetry."""
 
     def __init__(self, board: Board, seed: int | None) -> None:
         self.board = board
@@ -100,7 +100,7 @@ class Recorder:
             return
         while self.board.time_ns < until_ns:
             length = int(10 ** self._random.uniform(2.0, 7.3))  # 100 ns .. 20 ms
-            self._random.choice([self._advance, self._record, self._trace, self._look])(
+            self._random.choice([self._advance, self._record, self._trace, self._read_all])(
                 min(until_ns, self.board.time_ns + length)
             )
 
@@ -113,14 +113,14 @@ class Recorder:
     def _trace(self, until_ns: int) -> None:
         self.board.trace(until_ns, 100)
 
-    def _look(self, until_ns: int) -> None:
+    def _read_all(self, until_ns: int) -> None:
         self.board.advance(until_ns)
         self.sent += self.board.serial_out()
         self.board.serial_next_ns()
         state(self.board)
 
     def rows(self) -> dict[tuple[int, int], bytes]:
-        """The recorded telemetry by number of the reset before, and ticks since."""
+        """Recorded telemetry; key: number of resets, tick since the last reset."""
         rows, resets, last = {}, 0, 0
         for row in np.concatenate(self.logs):
             tick = int(row["tick"])
@@ -131,7 +131,7 @@ class Recorder:
 
 
 def play(inputs: list[Input], seed: int | None) -> Recorder:
-    """One run, in one piece between two inputs or split at random."""
+    """One run, in one call between two inputs or split at random."""
     run = Recorder(Board(seed=6), seed)
     for time_ns, act in sorted(inputs, key=lambda one: one[0]):
         run.run_to(time_ns)

@@ -1,4 +1,4 @@
-"""The data flash of a virtual board at both levels: power fails at random instants, and what a save costs."""
+"""The data flash of a virtual board at both levels: power failures at random instants, duration of a save."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ pytestmark = pytest.mark.usefixtures("level")
 CATALOGUE: Final = Catalogue.load()
 WORDS: Final = 4 * 256  # of both copies, at the end of the flash
 COMMANDS: Final = 3 + 5 + sum(v.count for v in parameters(CATALOGUE)) + 2 * len(AxisConfigTable.load())
-"""Of a save: two sectors, every word, the seal."""
+"""Flash commands of a save: two sectors, every word, the seal."""
 
 Values = tuple[tuple[int, ...], ...]
 
 
 class Kept:
-    """A board, and whatever it keeps in its flash."""
+    """A board with access to its parameters, configuration and flash."""
 
     def __init__(self, flash: bytes | None = None, seed: int = 0) -> None:
         self.board = Board(seed=seed, flash=flash)
@@ -52,7 +52,7 @@ class Kept:
         return (*named, *(tuple(read_block(self.memory, axis).values()) for axis in range(AXES)))
 
     def change(self, number: int) -> None:
-        """Another parameter and another member."""
+        """Change a parameter and a member of the configuration."""
         self.board.write("param.speed_limit", [100.0 + number, 90.0])
         block = read_block(self.memory, 1)
         send_block(self.memory, 1, {**block, "position_gain": block["position_gain"] + number})
@@ -84,7 +84,7 @@ def test_saved_values_are_restored_after_power_off(kept: Kept) -> None:
     took = (kept.board.time_ns - before) * 1e-6
     assert storage == (1, "BUILT_IN", ("INTACT", "EMPTY"))
     assert kept.board.flash_state().commands == COMMANDS
-    assert 45.0 < took < 80.0, "two erases of 14 ms, a word in 65 us, and the turns of the background"
+    assert 45.0 < took < 80.0, "two erases of 14 ms, 65 us per word, and the periods of the background"
     assert kept.board.read("late_loops") == kept.board.read("receiver_overruns") == 0
     with Kept(kept.board.cut_power()) as after:
         assert after.values() == values
@@ -97,11 +97,11 @@ def test_each_sector_is_erased_by_every_second_save(kept: Kept) -> None:
         kept.change(number)
         kept.execute_request("SAVE")
     assert list(kept.words()[-8:]) == [0, 0, 0, 0, 3, 3, 2, 2]
-    assert set(kept.words()[: -32 - WORDS]) == {0xFFFF_FFFF}, "the tables of the chip lie there"
+    assert set(kept.words()[: -32 - WORDS]) == {0xFFFF_FFFF}, "these sectors contain the tables of the chip"
 
 
 def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
-    """At random parts of random commands, and at the instants beside the seal."""
+    """At random instants of random commands, and at the instants before and after the seal."""
     random = np.random.default_rng(1)
     kept.change(1)
     kept.execute_request("SAVE")
@@ -121,15 +121,15 @@ def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
             begin_request(board.memory, "SAVE")
             board.run(0.1)
             assert board.board.flash_state().dead
-            left = board.board.flash_image()
-        with Kept(left) as board:
+            flash_after = board.board.flash_image()
+        with Kept(flash_after) as board:
             assert board.values() in (before, after), (number, part)
             seen.append(board.values() == after)
             state = read_storage(board.memory)
             assert state.source == ("COPY_B" if seen[-1] else "COPY_A")
             assert bool(state.trouble) == (state.copies[1] == "DAMAGED")
-    assert seen[-1], "with the whole seal"
-    assert not any(seen[:-1]), "a seal in part fits by one chance in 2^32"
+    assert seen[-1], "the seal is complete"
+    assert not any(seen[:-1]), "a partial seal is valid with a probability of 2^-32"
 
 
 def test_power_failure_at_any_instant_of_a_factory_reset(kept: Kept) -> None:
@@ -145,29 +145,29 @@ def test_power_failure_at_any_instant_of_a_factory_reset(kept: Kept) -> None:
                 board.board.cut_flash(number, part)
                 begin_request(board.memory, "FACTORY")
                 board.run(0.1)
-                left = board.board.flash_image()
-            with Kept(left) as board:
+                flash_after = board.board.flash_image()
+            with Kept(flash_after) as board:
                 assert board.values() in (built_in, newest)
                 if number < 3:
                     assert board.values() == newest
 
 
-def test_a_cut_at_any_moment_is_the_end_of_the_command_under_way(kept: Kept) -> None:
+def test_a_power_failure_at_any_instant_ends_the_flash_command(kept: Kept) -> None:
     random = np.random.default_rng(2)
     for _ in range(12):
         with Kept() as board:
             begin_request(board.memory, "SAVE")
             board.run(float(random.uniform(0.0, 0.05)))
-            left = board.board.cut_power()
-            assert board.board.flash_image() == left
+            flash_after = board.board.cut_power()
+            assert board.board.flash_image() == flash_after
             board.run(0.1)
-            assert board.board.flash_image() == left, "power is off"
-        with Kept(left) as board:
+            assert board.board.flash_image() == flash_after, "power is off"
+        with Kept(flash_after) as board:
             assert read_storage(board.memory).source == "BUILT_IN"
 
 
 def test_loops_run_during_a_flash_command(kept: Kept) -> None:
-    """A free shaft, and an axis that is enabled meanwhile."""
+    """The axes are enabled during the flash command."""
     token = begin_request(kept.memory, "SAVE")
     kept.run(0.02)
     kept.board.write("cmd.enable", [1, 1])

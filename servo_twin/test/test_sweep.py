@@ -1,4 +1,4 @@
-"""``servo-sim sweep``: values varied over many boards, results that survive an interruption, trials to be repeated."""
+"""``servo-sim sweep``: values varied over many boards, results kept after an interruption, repeated trials."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-# ---- what is varied --------------------------------------------------------------------------------------------------
+# ---- varied values ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_ranges_and_lists_are_read(text: str, ends: tuple[float, float]) -> None
     assert all(ends[0] <= one.quantile(k / 100) <= one.quantile((k + 1) / 100) + 1e-12 for k in range(100))
 
 
-def test_the_middle_of_a_distribution() -> None:
+def test_quantiles_are_those_of_the_distribution() -> None:
     assert Varied.parse("a=1..100 log").quantile(0.5) == pytest.approx(10.0)
     assert Varied.parse("a=5+-2").quantile(0.5) == pytest.approx(5.0)
     assert Varied.parse("a=5+-2").quantile(0.8413) == pytest.approx(7.0, abs=1e-2)
@@ -80,7 +80,7 @@ def test_invalid_values_are_reported(text: str, message: str) -> None:
 
 
 @given(st.integers(1, 3000), st.text(max_size=5))
-def test_a_random_order_has_every_place_once(count: int, key: str) -> None:
+def test_a_random_permutation_has_every_index_once(count: int, key: str) -> None:
     assert sorted(shuffled(k, count, key) for k in range(count)) == list(range(count))
 
 
@@ -134,7 +134,7 @@ SERVO: dict[str, Any] = {
 BASE = Base(PLANT, SERVO)
 
 
-def test_factors_are_of_the_nominal_value() -> None:
+def test_factors_are_relative_to_the_nominal_value() -> None:
     one = BASE.resolved(Varied.parse("plant.axis2.inertia=*0.5..2 log"))
     assert (one.quantile(0.0), one.quantile(1.0)) == pytest.approx((0.6e-5, 2.4e-5))
     assert BASE.resolved(Varied.parse("servo.axis1.limits.current=*2,3")).levels == (8.0, 12.0)

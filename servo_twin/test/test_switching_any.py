@@ -40,7 +40,7 @@ def any_plant(rnd: random.Random) -> PlantConfig:
     return plant
 
 
-# The last ones came to instants without an end: at end stops, without friction, without a drop, on buses of 30 uF.
+# The last seeds once caused endless events: at end stops, without friction, without voltage drop, with a bus of 30 uF.
 @pytest.mark.parametrize("seed", [*range(200), 235, 259, 260, 270, 278, 703])
 def test_state_stays_valid_with_random_gates(switching_c: Native, seed: int) -> None:
     rnd = random.Random(seed)
@@ -74,7 +74,7 @@ def test_state_stays_valid_with_random_gates(switching_c: Native, seed: int) -> 
             assert all(map(math.isfinite, state))
             motor = plant.axes[index]
             volts = 60.0 + switching.bus.u_dc + motor.pole_pairs * motor.psi_m * abs(truth.omega)
-            # what resistance alone lets through
+            # bound of the current by the resistance alone
             assert max(map(abs, truth.phase)) < 1.0 + volts / (motor.r_s + motor.r_on)
             assert sum(truth.phase) == pytest.approx(0.0, abs=1e-9 * (1.0 + max(map(abs, truth.phase))))
             inverter = c.axis[index].inverter

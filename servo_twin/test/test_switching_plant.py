@@ -1,4 +1,4 @@
-"""The plant at switching level by itself: energy, means, shunts, comparator, encoder lines, supply, temperatures."""
+"""The plant at switching level alone: energy, means, shunts, comparator, encoder lines, supply, temperatures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def vector(axis: int, clock: int, gates: Sequence[int]) -> list[Edge]:
 
 class TestEnergy:
     def test_energy_is_conserved(self, switching_c: Native) -> None:
-        """What the source gives is in the capacitor, in the coils, in the masses, or has become heat or work."""
+        """Energy of the source = change of capacitor, magnetic and kinetic energy + heat + work."""
         plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=2.0)
         switching = Switching(switching_c, plant)
         switching.spin(1, 250.0)  # this axis brakes
@@ -71,7 +71,7 @@ class TestEnergy:
         assert switching.bus.e_source == pytest.approx(drawn + stored, rel=3e-4)
 
     def test_currents_through_zero_heat_as_much_as_step_by_step(self, switching_c: Native, stepping_c: Native) -> None:
-        """Turning without a load: several zeros of currents in each period."""
+        """Rotation without load: several zero crossings of currents in each period."""
         heat = []
         for native in (switching_c, stepping_c):
             switching = Switching(
@@ -91,7 +91,7 @@ class TestEnergy:
         for axis in range(2):
             switching.spin(axis, 366.0)
         before = 0.0
-        for n in range(100):  # short-circuited by the lower switches, then pumped up by opening them
+        for n in range(100):  # shorted by the lower switches, then boosted by opening them
             low = [*vector(0, n * 2000, [LOW] * 3), *vector(1, n * 2000, [LOW] * 3)]
             gone = [*vector(0, n * 2000 + 800, [OPEN] * 3), *vector(1, n * 2000 + 800, [OPEN] * 3)]
             switching.run([*low, *gone], (n + 1) * 2000)
@@ -118,7 +118,7 @@ class TestEnergy:
 class TestMeans:
     @pytest.mark.parametrize("swing", [0.12, -0.12])
     def test_dead_time_and_drops_by_arithmetic(self, switching_c: Native, swing: float) -> None:
-        """Mean of a held axis: duty, less t_d f u and the drop, against the current."""
+        """Mean voltage of a locked axis: duty minus t_d f u and the voltage drop, against the current."""
         plant = ideal_plant(dead_time=1e-6, v_drop=0.7, r_on=0.03, dead_time_min=0.0)
         switching = Switching(switching_c, plant)
         switching.lib.switching_lock(switching.c, 0, True)
@@ -133,7 +133,7 @@ class TestMeans:
         assert i_a == pytest.approx(volts / (plant.axes[0].r_s + 0.03), rel=4e-3)
 
     def test_agrees_with_the_averaged_plant(self, switching_c: Native) -> None:
-        """Two accelerating axes: half a hundred periods of both plants with the same duties."""
+        """Two accelerating axes: fifty periods of both plants with the same duties."""
         plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=0.2)
         ffi, lib = switching_c
         averaged = ffi.new("plant_t *")
@@ -153,7 +153,7 @@ class TestMeans:
                 clock += averaged.step_ns
             switching.run(sorted(edges), (n + 1) * PERIOD)
             if n < 3:
-                continue  # the currents have to leave zero
+                continue  # initial transient of the currents
             for index in range(2):
                 truth = switching.truth(index)  # low-side centre: ripple is zero there
                 motor = averaged.axis[index].motor
@@ -167,7 +167,7 @@ class TestMeans:
         assert switching.bus.u_dc == pytest.approx(averaged.bus.u, abs=0.01)
 
     def test_mean_voltages_follow_the_duties(self, switching_c: Native) -> None:
-        """Of a held axis with constant duties, over whole periods."""
+        """A locked axis with constant duties, over whole periods."""
         switching = Switching(switching_c, ideal_plant(dead_time_min=0.0))
         switching.lib.switching_lock(switching.c, 0, True)
         switching.run(cycles([0], (0.6, 0.5, 0.4), 0, 40, dead=0), 40 * PERIOD)
@@ -176,7 +176,7 @@ class TestMeans:
 
     @pytest.mark.parametrize("late", [0, 1, 6249])
     def test_mean_voltages_are_those_of_the_last_full_period(self, switching_c: Native, late: int) -> None:
-        """A turning motor without current shows its back-EMF: the change of the magnet's flux in that period."""
+        """Rotating motor without current: back-EMF, the change of the magnet flux in that period."""
         switching = Switching(switching_c, ideal_plant())
         switching.spin(0, 150.0)
         axis = switching.plant.axes[0]
@@ -226,7 +226,7 @@ class TestShunts:
 
     @pytest.mark.parametrize("seed", [None, 0, 1, 2])
     def test_the_amplifiers_follow_currents_that_come_to_zero(self, switching_c: Native, seed: int | None) -> None:
-        """A turning motor, clock by clock against a first-order lag behind what the shunts carry."""
+        """Rotating motor: clock by clock against a first-order lag of the shunt currents."""
         tau = 0.3e-6
         switching = Switching(switching_c, PlantConfig.load().with_axis(0, theta_start=0.3, i_settle=tau))
         switching.spin(0, 150.0)
@@ -259,8 +259,8 @@ class TestShunts:
         assert codes == [2048 + round(0.5 / 8.25 * 2048), 2048, 2048 - round(0.5 / 8.25 * 2048)]
         assert switching.lib.switching_bus_code(switching.c) == 2708
 
-    def test_a_sample_between_edges_does_not_depend_on_who_looked_before(self, switching_c: Native) -> None:
-        """Shortly after an edge the sample comes from the slope, later from a step of the plant."""
+    def test_a_sample_between_edges_does_not_depend_on_earlier_reads(self, switching_c: Native) -> None:
+        """Shortly after an edge the sample is extrapolated by the slope, later it is a step of the plant."""
         codes = []
         for glance in (False, True):
             switching = Switching(switching_c, ideal_plant(theta_start=0.0))
@@ -293,7 +293,7 @@ class TestComparator:
 
     @pytest.mark.parametrize(("dead", "trips"), [(30, False), (20, True), (0, True)])
     def test_too_little_dead_time_is_a_short(self, switching_c: Native, dead: int, trips: bool) -> None:
-        """The switches need 0.25 us; what is missing of that is a short."""
+        """The switches need 0.25 us; a shorter dead time is a short for the difference."""
         switching = Switching(switching_c, ideal_plant(dead_time_min=0.25e-6))
         switching.run([(0, 0, 0, HIGH), (500, 0, 0, OPEN), (500 + dead, 0, 0, LOW)], 1000)
         events = [(event[0], event[4]) for event in switching.events if event[1] == OVER_CURRENT]
@@ -313,7 +313,7 @@ class TestComparator:
 
 
 class TestRoot:
-    """Where a parabola comes down to zero within a step."""
+    """Zero of a parabola within a step."""
 
     @pytest.mark.parametrize(("f0", "d0"), [(1.0, -2.0), (1.0, 3.0), (0.0, 2.0), (1e-9, 0.0)])
     def test_root_is_the_zero_of_the_parabola(self, switching_c: Native, f0: float, d0: float) -> None:
@@ -323,27 +323,29 @@ class TestRoot:
         assert 0.0 < t <= h
         assert f0 + d0 * t + bend * t**2 == pytest.approx(0.0, abs=1e-12)
 
-    @pytest.mark.parametrize("way", [1.0, -1.0])
-    def test_series_finds_roots_of_nearly_straight_currents(self, switching_c: Native, way: float) -> None:
-        """Of all phases at once, as far as it says so; what bends more it leaves to others."""
+    @pytest.mark.parametrize("direction", [1.0, -1.0])
+    def test_series_finds_roots_of_nearly_straight_currents(self, switching_c: Native, direction: float) -> None:
+        """The roots of all phases at once; the result mask excludes phases with more curvature."""
         lanes, legs, h = (0, 2, 3), 0b1101, 1e-5
         rnd = random.Random(7)
         for _ in range(2000):
             f0, f1, d0 = ([0.0] * 4 for _ in range(3))
             for lane in lanes:
-                f0[lane], f1[lane] = way * 10 ** rnd.uniform(-6, 1), -way * 10 ** rnd.uniform(-6, 1)
+                f0[lane], f1[lane] = direction * 10 ** rnd.uniform(-6, 1), -direction * 10 ** rnd.uniform(-6, 1)
                 d0[lane] = (f1[lane] - f0[lane]) / h * (1.0 + rnd.uniform(-0.049, 0.049))
             root = switching_c.ffi.new("double [4]")
             assert switching_c.lib.straight_roots(f0, f1, d0, h, root) & legs == legs
             for lane in lanes:
-                exact = switching_c.lib.root_of(way * f0[lane], way * d0[lane], way * f1[lane], h)
+                exact = switching_c.lib.root_of(direction * f0[lane], direction * d0[lane], direction * f1[lane], h)
                 assert root[lane] == pytest.approx(exact, abs=1e-5 * h)
         d0[lanes[1]] *= 1.2
         assert switching_c.lib.straight_roots(f0, f1, d0, h, root) & legs == legs & ~(1 << lanes[1])
 
     @pytest.mark.parametrize("f1", [-6.4783e-23, -6.5729e-23, -7e-23, -1e-12])
-    def test_stays_within_the_step_when_it_begins_below_by_rounding(self, switching_c: Native, f1: float) -> None:
-        """A current of 1e-22 A the wrong way: the parabola may be back there after any time at all."""
+    def test_root_stays_within_the_step_if_the_start_is_negative_by_rounding(
+        self, switching_c: Native, f1: float
+    ) -> None:
+        """Start at -1e-22 A by rounding: the calculated root may be at any time."""
         assert 0.0 <= switching_c.lib.root_of(-6.57293e-23, 8.41334e-20, f1, 1.13297e-05) <= 1.13297e-05
 
 
@@ -420,7 +422,7 @@ class TestEncoder:
 
     @pytest.mark.parametrize(("hysteresis", "chatters"), [(0.03, False), (0.015, False), (0.005, True)])
     def test_a_shaft_that_dithers_on_an_edge(self, switching_c: Native, hysteresis: float, chatters: bool) -> None:
-        """By a hundredth of a count to either side, less than the jitter."""
+        """Oscillation by a hundredth of a count to either side, less than the jitter."""
         switching = Switching(
             switching_c, ideal_plant(encoder_jitter=0.05, encoder_hysteresis=hysteresis, theta_start=0.0015)
         )
@@ -447,7 +449,7 @@ class TestEncoder:
 
     @pytest.mark.parametrize("allowed", [3, 12, 100])
     def test_deferred_edges_have_the_same_clocks(self, switching_c: Native, allowed: int) -> None:
-        """Of a shaft that turns back, with a line that is disturbed and later cut, and a disc that slips."""
+        """Reversing shaft, a line with disturbances and later cut, and a slipping disc."""
 
         def run(keeps: bool) -> tuple[list[tuple[int, int, int, int, bool]], int]:
             chance = random.Random(5)
@@ -509,7 +511,7 @@ class TestEndStops:
         truth = switching.truth(0)
         assert truth.theta == pytest.approx(0.001 + math.copysign(0.0301, omega), abs=1e-15)
         assert truth.omega == 0.0
-        # an edge for every count on the way, and none beyond: half a count is more than jitter and duty error
+        # one edge per count of the motion and none beyond: jitter and duty error are below half a count
         assert len(switching.events) == pytest.approx(0.0301 / (2 * math.pi / 4000), abs=1.5)
         assert switching.events[-1][0] <= 0.0301 / 150.0 / CLOCK + 1
 
@@ -532,7 +534,7 @@ class TestEndStops:
         switching.run(cycles([0], (0.55, 0.45, 0.50), 10 * PERIOD, 60), 60 * PERIOD)
         truth = switching.truth(0)
         assert truth.torque < -0.01
-        assert truth.theta == pytest.approx(0.19, abs=1e-15)  # and has come to the other one
+        assert truth.theta == pytest.approx(0.19, abs=1e-15)  # and has reached the other end stop
 
     def test_infinite_end_stops_have_no_effect(self, switching_c: Native) -> None:
         switching = Switching(switching_c, ideal_plant(theta_start=0.2))
@@ -558,7 +560,7 @@ class TestOther:
         assert results[0] == results[1]
 
     def test_events_do_not_depend_on_the_steps(self, switching_c: Native) -> None:
-        """Advancing past an event, or exactly to it, gives the same edges."""
+        """Advancing beyond an event or exactly to it gives the same edges."""
         stepwise = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
         at_once = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
         for switching in (stepwise, at_once):
@@ -581,7 +583,7 @@ class TestOther:
         cold = Switching(switching_c, ideal_plant(theta_start=0.0, v_drop=0.7))
         cold.lib.switching_lock(cold.c, 0, True)
         cold.run(cycles([0], (0.7, 0.5, 0.5), 0, 320), 320 * PERIOD)
-        assert truth.i_d < 0.998 * cold.truth(0).i_d  # copper that is warmer
+        assert truth.i_d < 0.998 * cold.truth(0).i_d  # warmer copper
 
     def test_unplugged_motor_coasts(self, switching_c: Native) -> None:
         axis = PlantConfig.load().axes[0]
@@ -600,7 +602,7 @@ class TestOther:
 
 @pytest.mark.parametrize("gap", [1000, 2400, 3100])
 def test_encoder_edges_agree_with_the_angle(switching_c: Native, gap: int) -> None:
-    """However long a frame lasts until the next gate: edges are where the angle is, in both axes."""
+    """Edges of both axes agree with the angle, independent of the interval until the next gate edge."""
     plant = PlantConfig.load()
     for axis in range(2):
         plant = plant.with_axis(
@@ -628,7 +630,7 @@ def test_encoder_edges_agree_with_the_angle(switching_c: Native, gap: int) -> No
 
 
 def test_vectors_are_aligned_to_cache_lines(switching_c: Native) -> None:
-    """If the plant begins one. A vector across two costs time, and nothing else shows that."""
+    """If the plant itself is aligned. A vector across two cache lines is slower, which no other test detects."""
     ffi = switching_c.ffi
     axis = ffi.offsetof("switching_t", "axis")
     sizes = {"amplifier": 32, "drops": 32, "psi": 16, "switch_vector": 16, "i": 16, "di": 16}

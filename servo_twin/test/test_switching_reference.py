@@ -20,10 +20,10 @@ AMPERES = 2e-4
 """Bound on each phase current: a twentieth of a converter's step (4 mA)."""
 
 ANY_AMPERES = 1e-3
-"""The same in linear intervals with random gates, shafts at up to 700 rad/s and currents of some amperes."""
+"""The bound in linear intervals with random gates, shafts at up to 700 rad/s and currents of some amperes."""
 
 ROUGHNESS = 10.0
-"""How many times the other bounds are as wide then: the largest of 600 runs were 2.4e-3 rad/s and 1.2e-4 V."""
+"""Factor of the other bounds in that case: the largest deviations of 600 runs were 2.4e-3 rad/s and 1.2e-4 V."""
 
 
 def plant() -> PlantConfig:
@@ -40,15 +40,15 @@ def compare(
     amperes: float = AMPERES,
     roughness: float = 1.0,
 ) -> float:
-    """Run both through the edges and look at everything on the way. Returns the largest current seen.
+    """Run both with the same edges and compare their states at each step; return the largest current.
 
-    `roughness` multiplies the bounds on everything but the currents.
+    `roughness` multiplies all bounds except those of the currents.
     """
     largest = 0.0
-    left = sorted(edges, key=lambda edge: edge[0])
+    remaining = sorted(edges, key=lambda edge: edge[0])
     for clock in range(step, until + 1, step):
-        now = [edge for edge in left if edge[0] <= clock]
-        left = left[len(now) :]
+        now = [edge for edge in remaining if edge[0] <= clock]
+        remaining = remaining[len(now) :]
         switching.run(now, clock)
         reference.run(now, clock)
         for index, machine in enumerate(reference.axes):
@@ -83,7 +83,7 @@ def test_random_duties_give_the_currents_of_the_reference(switching_c: Native, s
 
 @pytest.mark.parametrize("omega", [300.0, -150.0, 5.0])
 def test_turning_shafts_with_small_currents(switching_c: Native, omega: float) -> None:
-    """Currents that reach zero in dead times and in zero vectors, and stay there or pass."""
+    """Currents reach zero in dead times and zero vectors, and stay at zero or change their sign."""
     switching, reference = Switching(switching_c, plant()), Reference(plant())
     for axis in range(2):
         switching.spin(axis, omega)
@@ -116,7 +116,7 @@ def test_a_shaft_that_stops_and_turns_back(switching_c: Native) -> None:
 
 
 def test_comparison_detects_a_wrong_dead_time(switching_c: Native) -> None:
-    """The comparison can fail: twenty nanoseconds more of dead time are seen."""
+    """The comparison can fail: it detects 20 ns more dead time."""
     switching, reference = Switching(switching_c, plant()), Reference(plant())
     duty = (0.65, 0.45, 0.4)
     switching.run(sorted(modulated(lambda *_: duty, 3), key=lambda edge: edge[0]), 3 * PERIOD)
@@ -124,8 +124,8 @@ def test_comparison_detects_a_wrong_dead_time(switching_c: Native) -> None:
     assert abs(switching.truth(0).phase[0] - reference.axes[0].phases()[0]) > 10 * AMPERES
 
 
-def test_every_gate_pattern(switching_c: Native) -> None:
-    """All 27 states of the legs, one after another, from currents that the ones before have left."""
+def test_every_gate_pattern_agrees_with_the_reference(switching_c: Native) -> None:
+    """All 27 states of the legs in sequence; each starts with the currents of the previous one."""
     switching, reference = Switching(switching_c, plant()), Reference(plant())
     states = list(itertools.product((OPEN, HIGH, LOW), repeat=3))
     random.Random(7).shuffle(states)
@@ -167,7 +167,7 @@ def random_run(seed: int, longest: int | None) -> RandomRun:
     return RandomRun(config, speeds, edges)
 
 
-# Shafts that break loose while a current grows (6, 8, 22, 47, 132), edges that seem to have no effect (6 and 70), a
+# Shafts that overcome friction while a current grows (6, 8, 22, 47, 132), edges without apparent effect (6, 70), a
 # current that crosses zero at the end of a step (78), legs that just begin to conduct (87 to 217), the largest
 # deviations of linear intervals (221, 240, 276).
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Mode TEST and test signals on the virtual board: what current, rotor and speed do."""
+"""Mode TEST and test signals on the virtual board: current, rotor angle and speed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
 
 
 def signal(board: Board, point: str, amplitude: float, step: float, calls: int) -> None:
-    """On both axes."""
+    """Start a test signal on both axes."""
     board.write("cmd.test_amplitude", [amplitude] * 2)
     board.write("cmd.test_step", [step] * 2)
     board.write("cmd.test_growth", [0.0] * 2)

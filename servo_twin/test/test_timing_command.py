@@ -1,4 +1,4 @@
-"""``servo-sim timing`` on the register-level board: what the registers make, and what wrong ones make of it."""
+"""``servo-sim timing`` at level registers: right timing agrees, wrong registers violate the bounds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def wrong(spoil: Callable[[Board], None]) -> set[str]:
     return {row.name for row in measure(PlantConfig.load(), 4, spoil)[0].rows if not row.agrees}
 
 
-def test_agrees_and_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_timing_agrees_and_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "timing.png"
     assert main(["timing", "--seed", "3", "--json", "--plot", str(picture)]) == 0
     rows = {row["name"]: row["measured"] for row in json.loads(capsys.readouterr().out)}
@@ -46,7 +46,7 @@ def test_all_and_plot_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_late_trigger_violates_the_bounds() -> None:
-    """1.5 us after the centre the converter still samples before M1, but no longer where the current is the mean."""
+    """1.5 us after the centre the converter still samples before M1, but not at the mean current."""
     names = wrong(poke(PWMA_SM1_VAL4, lambda value: value + 100))
     assert "motor 1: currents after the centre, maximum" in names
 

@@ -1,4 +1,4 @@
-"""Figures of the timing: right on a trace that is right, and each mistake shows where it belongs."""
+"""Figures of the timing: a right trace agrees, each error violates its own row."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Mistake = Callable[[list[Entry]], list[Entry]]
 
 
 def ideal() -> list[Entry]:
-    """The circle as F34 draws it; phase a at a quarter, b at a half, c at three quarters of the period."""
+    """The sequence of F34; phase a at a quarter, b at a half, c at three quarters of the period."""
     entries: list[Entry] = []
 
     def add(clock: int, kind: Kind, a: int, b: int = 0) -> None:
@@ -70,7 +70,7 @@ def wrong(rows: list[Row]) -> set[str]:
     return {row.name for row in rows if not row.agrees}
 
 
-def test_right_timing_agrees() -> None:
+def test_correct_timing_agrees() -> None:
     rows = pwm_cycle(trace(ideal()))
     assert wrong(rows) == set()
     by_name = {row.name: row.measured for row in rows}
@@ -81,7 +81,7 @@ def test_right_timing_agrees() -> None:
 
 
 def shift(kind: Kind, marks: set[int], clocks: int) -> Mistake:
-    """Move what has one of these marks."""
+    """Shift the entries of this kind whose first argument is one of `marks`."""
     return lambda entries: [
         (clock + clocks if which == kind and a in marks else clock, which, a, b) for clock, which, a, b in entries
     ]
@@ -130,18 +130,20 @@ def margins(entries: list[Entry]) -> dict[str, float | None]:
 
 
 def test_margin_from_sample_to_load() -> None:
-    """Every kind of handler: with slow loop, protection, watches, supervision, latch, in both loops."""
+    """Every kind of handler (slow loop, protection, monitors, supervision, latch) in both loops."""
     due = HALF - 60 - FIRST
     for name, begin in (("M1", M1_BEGIN), ("M2", 232)):
-        left = HALF - begin - RELEASE
+        remaining = HALF - begin - RELEASE
         for kind in SLOTS.values():
-            assert margins(ideal())[f"{name} {kind}, minimum margin"] == pytest.approx(100.0 * left / due), name + kind
+            assert margins(ideal())[f"{name} {kind}, minimum margin"] == pytest.approx(100.0 * remaining / due), (
+                name + kind
+            )
     assert margins(ideal())["core busy"] == pytest.approx(100.0 * 2 * LENGTH / PERIOD, abs=1.0)
     assert wrong(deadlines.rows(trace(ideal()), M1_BEGIN)) == set()
 
 
 def test_picture_shows_the_margin_of_each_loop() -> None:
-    """And of a miss how much too late it is: bars that go back."""
+    """A missed load is drawn as a negative bar of its delay."""
     for loop, begin in zip(LOOPS, (M1_BEGIN, 232), strict=True):
         drawn = picture.margins(trace(ideal()), loop)
         assert drawn.shape[0] >= COUNT - 2
@@ -151,7 +153,7 @@ def test_picture_shows_the_margin_of_each_loop() -> None:
 
 
 def test_slots_are_those_of_the_firmware() -> None:
-    """By the cases of its two tables."""
+    """Compared with the cases of its two switch statements."""
     text = (FIRMWARE / "app" / "servo.c").read_text()
     values = {"SERVO_SLOW_PERIODS": "8"} | dict(re.findall(r"#define (SLOT_\w+) (\w+|\(.*?\))(?: |$)", text, re.M))
 
@@ -164,7 +166,7 @@ def test_slots_are_those_of_the_firmware() -> None:
 
 
 def at_period(slot: int, mistake: Mistake) -> Mistake:
-    """Only in one PWM period of each slow tick; the first M1 is that of period 1."""
+    """Apply a mistake only in one PWM period of each slow tick; the first M1 is that of period 1."""
 
     def do(entries: list[Entry]) -> list[Entry]:
         def chosen(entry: Entry) -> bool:
@@ -176,7 +178,7 @@ def at_period(slot: int, mistake: Mistake) -> Mistake:
 
 
 def test_missed_load_is_a_negative_margin() -> None:
-    """Duties that are released right behind their load, in one kind of handler: its row fails, and no other one."""
+    """Duties released just after their load in one kind of handler: only its row fails."""
     late = at_period(4, shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1))
     longer_m1 = at_period(4, longer(VECTOR_M1, HALF - M1_BEGIN - LENGTH + 10))
     entries = late(longer_m1(ideal()))
@@ -191,7 +193,7 @@ def test_late_begin_reduces_the_margin() -> None:
 
 
 def without_duties(entries: list[Entry]) -> list[Entry]:
-    """No release in any M1, which lasts beyond the load in one kind of handler."""
+    """No release in any M1; in one kind of handler M1 lasts beyond the load."""
     return at_period(4, longer(VECTOR_M1, HALF))(without(Kind.WRITE, MCTRL[0])(entries))
 
 
@@ -200,7 +202,7 @@ def test_duties_that_are_never_released_are_late() -> None:
 
 
 def test_a_loop_without_outputs_has_no_deadline() -> None:
-    """Once they are off, and as long as others of its kind have one."""
+    """After the outputs are off, if other handlers of its kind have a deadline."""
     outputs = LOOPS[0].outputs
     entries = [entry for entry in ideal() if entry[0] < 16 * PERIOD]
     later = [(c + 16 * PERIOD, k, a, b) for c, k, a, b in without_duties(entries)]
@@ -210,7 +212,7 @@ def test_a_loop_without_outputs_has_no_deadline() -> None:
     assert "M1 with current watches, minimum margin" in wrong(deadlines.rows(trace([*entries, on, *later]), M1_BEGIN))
 
 
-def test_what_interrupts_a_handler_is_counted_once() -> None:
+def test_a_nested_interrupt_is_counted_once() -> None:
     entries = ideal()
     nested = [
         extra
@@ -221,12 +223,12 @@ def test_what_interrupts_a_handler_is_counted_once() -> None:
     assert deadlines.busy(trace(entries + nested)) == deadlines.busy(trace(entries))
 
 
-def test_a_trace_without_handlers_has_no_rows_but_the_core() -> None:
+def test_a_trace_without_handlers_has_only_the_row_of_the_core() -> None:
     assert list(margins([])) == ["core busy"]
 
 
 def beginning() -> list[Entry]:
-    """Power-on: the start interrupt between motor 2's sampling point and the end of the period, then the circle."""
+    """Power-on: the start interrupt between motor 2's sampling point and the end of the period, then the sequence."""
     begin = -500
     entries = [(begin + 600, int(Kind.ENTER), VECTOR_START, 1)]
     entries += [
@@ -236,7 +238,7 @@ def beginning() -> list[Entry]:
     return entries + [(clock + 1000, kind, a, b) for clock, kind, a, b in ideal()]
 
 
-def test_right_start_agrees() -> None:
+def test_correct_start_agrees() -> None:
     assert wrong(start(trace(beginning()))) == set()
 
 

@@ -1,4 +1,4 @@
-"""``servo-sim tune-robust``: candidates judged on the nominal plant and on the worst of a set."""
+"""``servo-sim tune-robust``: candidates evaluated on the nominal plant and on the worst plant of a set."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_front_has_no_dominated_candidate() -> None:
 
 
 def _bowl(candidates: Sequence[Mapping[str, float]]) -> list[Score]:
-    """Worst at 3, nominal at 1; everything above 4 is forbidden."""
+    """Minimum of the worst score at 3, of the nominal score at 1; values above 4 are infeasible."""
     return [Score(dict(c), (c["x"] - 1.0) ** 2, 0.0, (c["x"] - 3.0) ** 2, int(c["x"] > 4.0)) for c in candidates]
 
 

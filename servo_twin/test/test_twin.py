@@ -1,4 +1,4 @@
-"""The twin beside a virtual board that plays the real one: same commands at the same ticks, whatever happens."""
+"""The twin with a virtual board in place of the real one: same commands at the same ticks in all situations."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from servo_msgs_py import topics
 
 COUNT = CATALOGUE["axis1.position"].lsb
 STARVED = CATALOGUE.flag("limits", "STARVED").mask
-CLOSE = 12.0  # counts: what sensor noise makes of a move or of a quick stop
+CLOSE = 12.0  # differences by sensor noise in a move or a quick stop [counts]
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def rig() -> Iterator[TwinRig]:
 
 
 def follows(rig: TwinRig, pairs: list[Pair]) -> None:
-    """The twin was beside the board in all of these and moved as it did."""
+    """Check that the twin followed the board in all of these pairs."""
     assert rig.twin.status == ""
     assert pairs
     assert apart(pairs) == []
@@ -112,9 +112,9 @@ def follow_sines(rig: TwinRig, count: int = 60) -> list[Pair]:
 
     def point(axis: int, k: int) -> TimedPoint:
         t, rate = 0.01 * k, 2.0 * math.pi / 0.6
-        way, speed = 1.0 - math.cos(rate * t), rate * math.sin(rate * t)
+        distance, speed = 1.0 - math.cos(rate * t), rate * math.sin(rate * t)
         sign = 1 - 2 * axis
-        return TimedPoint(axis, begin + 160 * k, start[axis] + sign * way, sign * speed)
+        return TimedPoint(axis, begin + 160 * k, start[axis] + sign * distance, sign * speed)
 
     for k in range(0, count, 2):
         rig.write_points([point(axis, m) for m in range(k, min(k + 2, count)) for axis in range(AXES)])
@@ -192,7 +192,7 @@ class TestParameters:
         follows(rig, rig.move([15.0, -18.0], 0.5))
 
     def test_soft_limits_stop_both_at_the_same_position(self) -> None:
-        """The twin found its rotor elsewhere, so its positions count from elsewhere."""
+        """The rotor angle of the twin differs, so its positions have another zero."""
         with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=1.0)) as rig:
             rig.enable_axes()
             rig.move([2.0, 3.0], 0.8)
@@ -213,8 +213,8 @@ class TestParameters:
 
 class TestConfiguration:
     @staticmethod
-    def quicker(rig: TwinRig, axis: int) -> dict[str, int]:
-        """Other gains of an axis."""
+    def other_gains(rig: TwinRig, axis: int) -> dict[str, int]:
+        """Changed gains of an axis."""
         block = read_block(rig.real, axis)
         scale = {
             "speed.kp": 0.8,
@@ -229,12 +229,12 @@ class TestConfiguration:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
             rig.enable_axes()
             rig.move([40.0, -40.0], 0.2)
-            rig.tune({axis: self.quicker(rig, axis) for axis in range(2)})
+            rig.tune({axis: self.other_gains(rig, axis) for axis in range(2)})
             rig.run(0.1)
             rig.write("cmd.mode", [1, 1])
             rig.write("cmd.speed", [100.0, -80.0])
             rig.run(0.3)
-            rig.tune({1: self.quicker(rig, 1)})
+            rig.tune({1: self.other_gains(rig, 1)})
             rig.run(0.3)
             assert rig.board.read_raw("config.taken_count") == [2]
             assert rig.twin.synchronisations == 1
@@ -246,7 +246,7 @@ class TestConfiguration:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
             rig.enable_axes()
             rig.held_reports = []
-            rig.tune({0: self.quicker(rig, 0)})
+            rig.tune({0: self.other_gains(rig, 0)})
             rig.run(0.02)
             rig.held_reports = None
             assert any(pair.twin[name] != pair.real[name] for pair in rig.move([5.0, -5.0]) for name in pair.twin)
@@ -254,7 +254,7 @@ class TestConfiguration:
     def test_motor_data_at_rest_and_a_twin_that_begins_later(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
             rig.run(0.1)
-            rig.tune({0: self.quicker(rig, 0) | {"torque_constant": 1200, "stop_ticks_max": 900}})
+            rig.tune({0: self.other_gains(rig, 0) | {"torque_constant": 1200, "stop_ticks_max": 900}})
             rig.enable_axes()
             assert rig.twin.torque_constants[0] == pytest.approx(1200 / 2**15)
             rig.twin.resync("for a test")
@@ -266,13 +266,13 @@ class TestConfiguration:
         with TwinRig() as rig:
             rig.listening = False
             rig.run(0.1)
-            block = self.quicker(rig, 1)
+            block = self.other_gains(rig, 1)
             rig.tune({1: block})
             rig.run(0.1)
             rig.listening = True
             rig.run(0.3)
             rig.twin.blocks({0: tuple(AxisConfigTable.load().words(read_block(rig.real, 0)))})
-            assert rig.twin.labels(), "the twin's board has that one, too, and goes on"
+            assert rig.twin.labels(), "the board of the twin already has this configuration"
             rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
             assert rig.twin.status == "changed configuration of the board"
             rig.enable_axes()
@@ -286,7 +286,7 @@ class TestConfiguration:
         """The bridge reads blocks and parameters at every connection, some time after the first samples."""
         with TwinRig() as rig:
             rig.run(0.1)
-            rig.tune({axis: self.quicker(rig, axis) for axis in range(AXES)})
+            rig.tune({axis: self.other_gains(rig, axis) for axis in range(AXES)})
             rig.set_parameters("param.i_q_limit=1.0,1.5", "param.speed_limit=90,80")
             rig.run(0.1)
             blocks = {axis: tuple(AxisConfigTable.load().words(read_block(rig.real, axis))) for axis in range(AXES)}
@@ -317,7 +317,7 @@ class TestRotorSearch:
             rig.until("RUN/SPIN")
             searching = apart(rig.pairs)
             assert any("axis1 is RUN/ALIGN" in text for text in searching)
-            rig.run(0.02)  # the sample in which the last search ends comes before the twin has made up for it
+            rig.run(0.02)  # the sample in which the last search ends precedes the compensation by the twin
             follows(rig, rig.run(0.1))
             follows(rig, rig.move([2.0, -2.0]))
             assert rig.twin.synchronisations == 1
@@ -333,7 +333,7 @@ class TestRotorSearch:
         follows(rig, rig.move([0.0, 1.0]))
 
     def test_commands_before_the_twin_is_ready_are_repeated(self) -> None:
-        # The real rotor stands where its search is short; axis 1 never rests, so the twin must not be run ahead.
+        # The real rotor is at an angle with a short search; axis 1 is never at rest, so the twin must not be run ahead.
         quick = PlantConfig.load().with_axis(1, theta_start=0.2)
         lengths = []
         with TwinRig(plant=quick) as rig:
@@ -356,7 +356,7 @@ class TestRotorSearch:
 
 
 class TestLateStart:
-    def test_in_the_middle_at_rest(self, rig: TwinRig) -> None:
+    def test_twin_started_later_with_a_board_at_rest_follows(self, rig: TwinRig) -> None:
         rig.listening = False
         rig.enable_axes()
         rig.move([5.0, -3.0])
@@ -365,7 +365,7 @@ class TestLateStart:
         follows(rig, rig.run(0.1))
         follows(rig, rig.move([-2.0, 1.0]))
 
-    def test_switched_off_long_after_the_reset(self, rig: TwinRig) -> None:
+    def test_twin_started_long_after_the_reset_follows_a_disabled_board(self, rig: TwinRig) -> None:
         rig.listening = False
         rig.run(6.0)
         rig.listening = True
@@ -374,7 +374,7 @@ class TestLateStart:
         rig.enable_axes()
         follows(rig, rig.move([2.0, 2.0]))
 
-    def test_waits_for_shafts_that_move(self, rig: TwinRig) -> None:
+    def test_twin_waits_until_the_shafts_are_at_rest(self, rig: TwinRig) -> None:
         rig.listening = False
         rig.set_parameters("param.command_timeout=0")
         rig.enable_axes()
@@ -431,7 +431,7 @@ class TestReports:
             assert worst_counts(pairs) == 0.0
             assert rig.twin.synchronisations == 1
 
-    def test_reports_in_the_wrong_order_and_twice(self) -> None:
+    def test_reordered_and_repeated_reports_are_accepted(self) -> None:
         with TwinRig(real_seed=5, twin_seed=5) as rig:
             rig.enable_axes()
             rig.held_reports = []
@@ -466,13 +466,13 @@ class TestReports:
             rig.enable_axes()
             rig.reporting = False
             rig.write("cmd.mode", [0, 0])
-            said = []
+            reported = []
             for _ in range(20):
                 rig.sample()
-                said.append(rig.twin.status)
-            assert "" in said
+                reported.append(rig.twin.status)
+            assert "" in reported
             assert rig.twin.synchronisations == 1
-            assert said[-1].startswith("waiting: ")
+            assert reported[-1].startswith("waiting: ")
 
     def test_table_without_required_columns_is_refused(self, rig: TwinRig) -> None:
         columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
@@ -547,11 +547,11 @@ class TestTrouble:
 
 
 KEEP_ALIVE = [bytes.fromhex("2B 30 01 04 E8"), bytes.fromhex("2B 31 00 EC")]
-"""FreeMASTER: application command 4, the host is there, and what has become of it."""
+"""FreeMASTER: application command 4 (keep-alive), and the request of its result."""
 
 
 def causes(pairs: list[Pair]) -> list[str]:
-    """What the pairs say of faults of the board, each text once, in order."""
+    """Fault texts of the pairs, each once, in order."""
     return list(dict.fromkeys(pair.fault for pair in pairs))
 
 
@@ -564,7 +564,7 @@ def both(text: str) -> str:
 
 
 class TestFaults:
-    """Of the real board, whatever the twin does."""
+    """Faults of the real board, independent of the twin."""
 
     SPEED = 60.0
 
@@ -627,22 +627,22 @@ class TestFaults:
         rig.listening = True
         rig.sample()
         named = both(f"is in FAULT ({cause('UNDER_VOLTAGE')})")
-        assert (rig.pairs, rig.twin.fault) == ([], named), "said before the twin follows"
+        assert (rig.pairs, rig.twin.fault) == ([], named), "reported before the twin follows"
         pairs = rig.run(2.0)
         assert causes(pairs) == [named]
         assert rig.twin.synchronisations == 1
 
     def test_host_time_out_of_the_board(self, rig: TwinRig) -> None:
-        """The board stops first and is in FAULT then; the twin's board does not supervise a host."""
+        """The board stops first, then enters FAULT; the board of the twin does not supervise a host."""
         self.turning(rig)
         for request in KEEP_ALIVE:
             rig.board.serial_in(request)
             rig.run(0.02)
         rig.until("FAULT")
         silent = cause("HOST_SILENT")
-        said = causes(rig.pairs)
-        assert said[0] == ""
-        assert said[1] == both(f"stops for a fault ({silent})")
+        reported = causes(rig.pairs)
+        assert reported[0] == ""
+        assert reported[1] == both(f"stops for a fault ({silent})")
         pairs = rig.run(3.0)
         assert causes(pairs) == [both(f"is in FAULT ({silent})")]
         assert rig.twin.synchronisations == 2
@@ -650,7 +650,7 @@ class TestFaults:
         rig.run(0.1)
         assert (rig.twin.fault, rig.twin.status) == ("", "")
 
-    def test_an_enable_that_the_board_does_not_take_does_not_start_the_twin(self, rig: TwinRig) -> None:
+    def test_an_enable_refused_by_the_board_does_not_start_the_twin(self, rig: TwinRig) -> None:
         rig.enable_axes()
         rig.board.set_supply(5.0)
         rig.write("cmd.position", [30.0, -30.0])
@@ -687,18 +687,18 @@ class TestFaults:
 
 
 class TestExpiry:
-    """A board that stops because its set-point was not written again; here only its samples say so."""
+    """A board that stops because its set-point expired, simulated by the flag in its samples."""
 
     def test_expired_set_point_stops_the_twin_like_the_board(self, rig: TwinRig) -> None:
         bit = CATALOGUE.flag("limits", "EXPIRED").mask
         expired = False
         original = rig.twin.samples
 
-        def saying(columns: list[str], table: NDArray[np.float64]) -> None:
+        def with_flag(columns: list[str], table: NDArray[np.float64]) -> None:
             table[:, columns.index("axis2.limits")] = float(bit if expired else 0)
             original(columns, table)
 
-        rig.twin.samples = saying  # type: ignore[method-assign, assignment]
+        rig.twin.samples = with_flag  # type: ignore[method-assign, assignment]
         rig.enable_axes()
         rig.write("cmd.mode", [1, 1])
         rig.write("cmd.speed", [40.0, 40.0])
@@ -713,7 +713,7 @@ class TestExpiry:
         rig.run(0.02)
         expired = True
         assert rig.run(0.02)[-1].stopping == (False, True)
-        assert rig.run(0.3)[-1].stopping == (False, False), "where it has come to rest is taken over"
+        assert rig.run(0.3)[-1].stopping == (False, False), "the rest position is adopted"
 
 
 class TestLongUp:
@@ -726,7 +726,7 @@ class TestLongUp:
             assert pairs[-1].tick > 1 << 32
 
     def test_positions_that_have_wrapped(self, rig: TwinRig) -> None:
-        """The host counts on past 32 bits, the board does not; commands are the board's."""
+        """Positions of the host exceed 32 bits, those of the board wrap; commands are positions of the board."""
         rig.listening = False
         rig.enable_axes()
         rig.listening = True
@@ -768,7 +768,7 @@ def test_failed_rotor_search_of_the_twin_is_reported() -> None:
         rig.enable_axes()
         pairs = rig.run(1.0)
         assert apart(pairs) == ["axis1 is RUN/SPIN, its twin FAULT"]
-        # It tries again, not with every sample but each time that it has waited for agreement.
+        # The twin retries after each time-out of the agreement, not at every sample.
         assert 2 <= len(boards) <= 4
         assert rig.twin.simulated_ticks * PERIOD_NS * 1e-9 < 2.0
 
@@ -820,7 +820,7 @@ def test_report_too_late_for_replay_is_remembered(rig: TwinRig) -> None:
 
 @pytest.mark.parametrize("variable", ["cmd.quick_stop", "cmd.enable"])
 def test_positions_agree_after_a_stop(variable: str) -> None:
-    """Each ramps down from the speed that it measures; with the larger inertia the two measure differently."""
+    """Each ramps down from its measured speed; with the larger inertia the measured speeds differ."""
     plant = PlantConfig.load()
     for n, axis in enumerate(plant.axes):
         plant = plant.with_axis(n, inertia=1.4 * axis.inertia)
@@ -832,7 +832,7 @@ def test_positions_agree_after_a_stop(variable: str) -> None:
         pairs = rig.run(0.15)
         assert worst_counts(pairs) > 2 * CLOSE
         assert all(pair.stopping == (True, True) for pair in pairs)
-        for _ in range(20):  # a shaft that dithers makes a stop longer
+        for _ in range(20):  # a stop takes longer if the shaft dithers
             pairs = rig.run(0.05)
             if pairs[-1].stopping == (False, False):
                 break
@@ -872,7 +872,7 @@ def test_standstill_is_evaluated_again_after_a_reset() -> None:
 def test_gap_does_not_count_as_standstill(rig: TwinRig) -> None:
     rig.enable_axes()
     rig.write("cmd.mode", [1, 1])
-    rig.write("cmd.speed", [0.05, 0.05])  # so slow that two samples far apart could be at the same place by chance
+    rig.write("cmd.speed", [0.05, 0.05])  # so slow that two distant samples could have the same position
     rig.listening = False
     rig.run(2.5)
     rig.listening = True
@@ -888,7 +888,7 @@ def celsius(replica: Replica, axis: int) -> float:
 
 
 def test_twin_started_later_has_the_temperature_of_the_board(rig: TwinRig) -> None:
-    """A cold one would not hold its current back where the board does."""
+    """A twin with a cold winding would not derate its current where the board does."""
     rig.listening = False
     rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+DEAD_TIME+WINDING_MODEL", report=False)
     rig.enable_axes()
@@ -903,7 +903,9 @@ def test_twin_started_later_has_the_temperature_of_the_board(rig: TwinRig) -> No
     replica = rig.twin._replica
     assert replica is not None
     for axis in range(AXES):
-        assert celsius(replica, axis) == pytest.approx(celsius(rig.real, axis), abs=1.5), "a rotor search warms it"
+        assert celsius(replica, axis) == pytest.approx(celsius(rig.real, axis), abs=1.5), (
+            "the rotor search heats the winding"
+        )
     rig.write("cmd.mode", [2, 2])
     rig.write("cmd.i_q", [4.0, 1.0])
     pairs = rig.run(0.05)

@@ -1,4 +1,4 @@
-"""Bursts of the board's recorder on the twin: the same ticks, and what differs."""
+"""Bursts of the board's recorder on the twin: the same ticks and the residual."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def rig() -> Iterator[TwinRig]:
 
 
 def begin(rig: TwinRig, setup: RecorderSetup) -> None:
-    """Set the recorder of the real board up, and report the twin before it starts."""
+    """Set up the recorder of the real board and send its set-up to the twin before the start."""
     rig.twin.recorder(setup)
     elements = [(CATALOGUE.variables[name], 0) for name in setup.names]
     rig.board.sample(setup.recorder, elements, setup.points)
@@ -65,7 +65,7 @@ def answer(rig: TwinRig) -> BurstAnswer:
 
 
 def recorded(rig: TwinRig, setup: RecorderSetup, turns: tuple[float, float] = (2.0, -1.0)) -> BurstAnswer:
-    """A burst in a move."""
+    """Answer of the twin to a burst recorded in a move."""
     begin(rig, setup)
     rig.move(turns, 0.06)
     columns, table = end(rig, setup)
@@ -76,7 +76,7 @@ def recorded(rig: TwinRig, setup: RecorderSetup, turns: tuple[float, float] = (2
 
 
 @pytest.mark.parametrize("setup", [FAST, replace(FAST, period_ns=4 * PERIOD_NS), SLOW])
-def test_of_boards_that_differ_in_nothing_the_residual_is_exactly_zero(setup: RecorderSetup) -> None:
+def test_residual_of_identical_boards_is_exactly_zero(setup: RecorderSetup) -> None:
     with TwinRig(real_seed=7, twin_seed=7) as rig:
         rig.enable_axes()
         burst = recorded(rig, setup)
@@ -90,7 +90,7 @@ def test_of_boards_that_differ_in_nothing_the_residual_is_exactly_zero(setup: Re
             assert burst.residual[:, k].tolist() == burst.twin[:, k].tolist()
 
 
-def test_of_another_plant_it_is_the_difference() -> None:
+def test_residual_of_another_plant_is_the_difference_of_the_signals() -> None:
     plant = PlantConfig.load()
     with TwinRig(real_seed=7, twin_seed=7, plant=plant.with_axis(0, r_s=2.0 * plant.axes[0].r_s)) as rig:
         rig.enable_axes()
@@ -151,21 +151,21 @@ def test_variables_without_a_twin_value_are_omitted_and_reported(rig: TwinRig) -
 
 
 @pytest.mark.parametrize(
-    ("setup", "said"),
+    ("setup", "note"),
     [
         (replace(FAST, names=("tick", "foreign", "axis1.i_q[3]")), "the twin has none of tick, foreign, axis1.i_q[3]"),
         (replace(FAST, period_ns=0), "the recording contains no ticks or has an unknown sampling period"),
         (replace(FAST, period_ns=10_000 * PERIOD_NS), "312 s at full rate need 104 MB; the limit of the twin is 64 MB"),
     ],
 )
-def test_an_unsuitable_setup_is_refused_with_the_reason(rig: TwinRig, setup: RecorderSetup, said: str) -> None:
+def test_an_unsuitable_setup_is_refused_with_the_reason(rig: TwinRig, setup: RecorderSetup, note: str) -> None:
     begin(rig, FAST)
     rig.twin.recorder(setup)
     rig.run(0.1)
     rig.twin.burst("", *end(rig, FAST))
     burst = answer(rig)
     assert (len(burst.twin), len(burst.residual)) == (0, 0)
-    assert burst.note == said
+    assert burst.note == note
 
 
 def test_samples_before_a_resynchronisation_are_not_available(rig: TwinRig) -> None:
@@ -179,9 +179,9 @@ def test_samples_before_a_resynchronisation_are_not_available(rig: TwinRig) -> N
     early = np.concatenate([table[:1] * (0.0,), table])
     early[0, 0] = first
     rig.twin.burst("", burst_columns, early)
-    said = answer(rig).note
-    assert said.startswith(f"the burst starts at tick {first}; the twin has samples from tick ")
-    assert said.endswith(" on (resynchronisation requested)")
+    note = answer(rig).note
+    assert note.startswith(f"the burst starts at tick {first}; the twin has samples from tick ")
+    assert note.endswith(" on (resynchronisation requested)")
     table[:, 0] += 16_000.0
     rig.twin.burst("", burst_columns, table)
     rig.twin.recorder(FAST)

@@ -1,4 +1,4 @@
-"""The twin of an axis whose position is set, or found at a stop that the twin's shaft does not have."""
+"""The twin of an axis whose position is set, or homed at a hard stop that the twin's plant does not have."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ METHOD, STATE = (CATALOGUE.enums[name] for name in ("home_method_t", "home_state
 HERE, ASSUME, STOP = (METHOD[name] for name in ("HERE", "ASSUME", "STOP_POSITIVE"))
 
 
-def stopped(seed: int, away: float) -> PlantConfig:
-    """Stops so far to both sides of where the shafts are at the start [rad]."""
+def with_end_stops(seed: int, away: float) -> PlantConfig:
+    """Plant with end stops at the distance `away` on both sides of the start angles [rad]."""
     plant = PlantConfig.load().drawn(seed)
     for axis, entry in enumerate(plant.axes):
         assert not isinstance(entry.theta_start, str)
@@ -50,8 +50,8 @@ def test_a_set_position_is_set_on_both_boards(held: bool, method: int) -> None:
         assert rig.twin.synchronisations == 1
 
 
-def test_a_homed_axis_is_taken_over() -> None:
-    with TwinRig(plant=stopped(1, 1.0)) as rig:
+def test_the_position_of_a_homed_axis_is_adopted() -> None:
+    with TwinRig(plant=with_end_stops(1, 1.0)) as rig:
         rig.enable_axes()
         rig.write("cmd.home_position", [10.0, 0.0])
         rig.run(0.01)
@@ -66,12 +66,12 @@ def test_a_homed_axis_is_taken_over() -> None:
         rig.write("cmd.position", [8.0, 0.5])
         pairs = rig.run(0.8)
         assert not apart(pairs)
-        assert worst_counts(pairs) <= 8, "in motion, from another angle of the rotor"
+        assert worst_counts(pairs) <= 8, "in motion, with another rotor angle"
         assert worst_counts(pairs[-20:]) <= 4.01
         assert pairs[-1].real["axis1.position"] == pytest.approx(8.0, abs=4e-3)
 
 
-def test_a_twin_that_begins_in_the_middle_knows_what_a_position_is_worth() -> None:
+def test_a_resynchronised_twin_has_the_home_state_of_the_board() -> None:
     with TwinRig() as rig:
         rig.enable_axes()
         rig.write("cmd.home_position", [1.0, 2.0])

@@ -1,4 +1,4 @@
-"""The twin's node under real rclpy; the telemetry comes from a virtual board that runs as fast as it can."""
+"""The twin node with rclpy; the telemetry is that of a virtual board that is not paced."""
 
 from __future__ import annotations
 
@@ -49,10 +49,15 @@ BATCH = 5  # samples in a message, as the bridge sends them
 
 
 class Rig:
-    """Twin node, a node in the part of bridge and user, and the board behind it, on one executor."""
+    """Twin node, a node in place of bridge and user, and the board, on one executor."""
 
     def __init__(
-        self, cli_args: list[str] | None = None, joints: Sequence[Joint] = DEFAULT_JOINTS, **parameters: Any
+        self,
+        cli_args: list[str] | None = None,
+        joints: Sequence[Joint] = DEFAULT_JOINTS,
+        *,
+        configured: bool = True,
+        **parameters: Any,
     ) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
@@ -70,10 +75,13 @@ class Rig:
         self.state = self.user.create_publisher(String, topics.STATE, latched)
         self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self.description = self.user.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
+        self.tuning = self.user.create_publisher(String, topics.TUNING, latched)
         self.messages: dict[str, list[Any]] = {}
         self._listen("/twin/joint_states", JointState, deep)
         self._listen("/twin/snapshot", Float64MultiArray, deep)
         self._listen("/twin/residual", JointState, deep)
+        if configured:
+            self.tuning.publish(String())  # unknown to the bridge
         if joints:
             self.describe(joints)
             self._listen(f"/twin/residual/{joints[0].name}/position", Float64, deep)
@@ -95,12 +103,12 @@ class Rig:
         self.user.create_subscription(kind, name, self.messages[name].append, qos)
 
     def describe(self, joints: Sequence[Joint]) -> None:
-        """Tell what the axes of the board move."""
+        """Publish the description of the joints."""
         text = describe(joints, CATALOGUE, commands_topic="/servo/joint_commands", states_topic="/servo/joint_states")
         self.description.publish(String(data=text))
 
     def _matched(self) -> bool:
-        publishers = (self.snapshot, self.applied, self.state, self.board_parameters, self.description)
+        publishers = (self.snapshot, self.applied, self.state, self.board_parameters, self.description, self.tuning)
         return (
             all(p.get_subscription_count() for p in publishers)
             and all(self.user.count_publishers(name) for name in self.messages)
@@ -127,7 +135,7 @@ class Rig:
         return []
 
     def close(self) -> None:
-        """Nothing of its own."""
+        """Nothing to close."""
 
     # ---- steps
     def until(self, condition: Callable[[], object], timeout: float = 10.0) -> None:
@@ -156,8 +164,8 @@ class Rig:
         found = [s for m in self.messages["/diagnostics"] for s in m.status if s.name == f"twin/servo_twin: {part}"]
         return found[-1] if found else DiagnosticStatus(message="no diagnostics yet")
 
-    def told(self) -> list[str]:
-        """All that the comparison has said in its diagnostics."""
+    def comparison_messages(self) -> list[str]:
+        """All messages of the comparison in the diagnostics."""
         return [s.message for m in self.messages["/diagnostics"] for s in m.status if s.name.endswith(": comparison")]
 
     def residual_ticks(self) -> dict[int, JointState]:
@@ -184,7 +192,7 @@ def rig() -> Iterator[Rig]:
         yield rig
 
 
-def test_says_that_it_waits(rig: Rig) -> None:
+def test_state_reports_waiting_for_telemetry(rig: Rig) -> None:
     assert rig.last("/twin/state") == "SYNCHRONISING no telemetry yet"
     assert rig.last("/twin/healthy") is False
     rig.until(lambda: rig.status("comparison").message == "no telemetry from /servo")
@@ -192,7 +200,7 @@ def test_says_that_it_waits(rig: Rig) -> None:
     assert rig.status("simulation").level == b"\x00"
 
 
-def test_follows_and_publishes_the_boards_topics(rig: Rig) -> None:
+def test_twin_follows_the_board_and_publishes_its_topics(rig: Rig) -> None:
     rig.board.enable_axes()
     rig.board.move([2.0, -1.0])
     rig.caught_up()
@@ -242,7 +250,7 @@ def test_without_a_description_nothing_is_compared_in_unknown_units() -> None:
         rig.caught_up()
         missing = "joints unknown: no message on /servo/robot_description"
         rig.until(lambda: rig.last("/twin/state") == f"SYNCHRONISING {missing}")
-        rig.until(lambda: missing in rig.told())
+        rig.until(lambda: missing in rig.comparison_messages())
         assert rig.last("/twin/healthy") is False
         assert not rig.messages["/twin/joint_states"]
         rig.description.publish(String(data="<robot/>"))
@@ -272,7 +280,7 @@ def test_residuals_are_stamped_with_the_real_sample_and_left_out_while_searching
     assert 3 <= len(single) < len(ticks) / 3
 
 
-def test_healthy_when_small_for_long_enough_and_not_while_synchronising(rig: Rig) -> None:
+def test_healthy_after_small_residuals_for_the_hold_time_and_not_while_synchronising(rig: Rig) -> None:
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
     rig.board.write("cmd.enable", [1, 1])
@@ -282,10 +290,10 @@ def test_healthy_when_small_for_long_enough_and_not_while_synchronising(rig: Rig
     assert rig.last("/twin/state") == "axis1=RUN/SPIN axis2=RUN/SPIN"
 
 
-def test_a_board_in_fault_makes_it_unhealthy_until_the_fault_is_cleared(
+def test_a_board_in_fault_makes_the_twin_unhealthy_until_the_fault_is_cleared(
     rig: Rig, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """ANGLE_MISMATCH: nothing is there for the twin's encoder to slip on."""
+    """Fault ANGLE_MISMATCH of the board alone: the encoder of the twin does not slip."""
     rig.board.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME+ANGLE_CHECK")
     rig.board.enable_axes()
     rig.board.write("cmd.mode", [1, 1])
@@ -301,7 +309,7 @@ def test_a_board_in_fault_makes_it_unhealthy_until_the_fault_is_cleared(
         rig.board.run(1.0)
         rig.caught_up()
     rig.until(lambda: rig.last("/twin/state") == "axis1=STOP axis2=RUN/SPIN")
-    rig.until(lambda: named in rig.told())
+    rig.until(lambda: named in rig.comparison_messages())
     assert rig.last("/twin/healthy") is False
     rig.board.write("cmd.clear_faults", [1, 0], 1)
     rig.board.run(0.7)
@@ -310,18 +318,18 @@ def test_a_board_in_fault_makes_it_unhealthy_until_the_fault_is_cleared(
     rig.until(lambda: rig.status("comparison").message == "healthy")
     assert {v.key: v.value for v in rig.status("comparison").values}["synchronisations"] == "2"
     log = capfd.readouterr().err
-    said = [line for line in log.splitlines() if "ANGLE_MISMATCH" in line]
-    assert len(said) == 1, said
-    assert f"not healthy: {named}" in said[0]
+    reported = [line for line in log.splitlines() if "ANGLE_MISMATCH" in line]
+    assert len(reported) == 1, reported
+    assert f"not healthy: {named}" in reported[0]
 
 
-def test_a_fault_from_before_the_twin_is_named(rig: Rig, capfd: pytest.CaptureFixture[str]) -> None:
-    """Known to both boards, and so they agree."""
+def test_a_fault_older_than_the_twin_is_reported(rig: Rig, capfd: pytest.CaptureFixture[str]) -> None:
+    """The fault is set on both boards, so the boards agree."""
     rig.board.board.inject(HotPowerStage(1, 200.0))
     rig.board.run(0.3)
     assert rig.board.label(1) == "FAULT"
     named = "axis2 of the board is in FAULT (OVER_TEMPERATURE: "
-    rig.until(lambda: any(text.startswith(named) for text in rig.told()))
+    rig.until(lambda: any(text.startswith(named) for text in rig.comparison_messages()))
     assert not any(m.data for m in rig.messages["/twin/healthy"])
     assert len([line for line in capfd.readouterr().err.splitlines() if "not healthy: axis2 of the" in line]) == 1
 
@@ -337,7 +345,7 @@ def test_tolerances_are_parameters() -> None:
         assert len(healths) >= 4
 
 
-def test_a_lost_board_makes_it_unhealthy(rig: Rig) -> None:
+def test_a_disconnected_board_makes_the_twin_unhealthy(rig: Rig) -> None:
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
     rig.state.publish(String(data="DISCONNECTED gone"))
@@ -345,18 +353,21 @@ def test_a_lost_board_makes_it_unhealthy(rig: Rig) -> None:
     rig.until(lambda: rig.status("comparison").message == "the board is not connected")
     rig.state.publish(String(data="axis1=STOP axis2=STOP"))
     rig.board.run(0.7)
+    rig.until(lambda: "configuration unknown" in rig.last("/twin/state"))
+    rig.tuning.publish(String())
+    rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
 
 
-def test_silence_makes_it_unhealthy(rig: Rig) -> None:
+def test_missing_telemetry_makes_the_twin_unhealthy(rig: Rig) -> None:
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
     rig.until(lambda: rig.last("/twin/healthy") is False)
     rig.until(lambda: rig.status("comparison").message == "no telemetry from /servo")
 
 
-def test_commands_are_no_telemetry(rig: Rig) -> None:
-    """Whatever else keeps the worker busy."""
+def test_commands_do_not_replace_missing_telemetry(rig: Rig) -> None:
+    """Applied commands do not reset the time-out of the telemetry."""
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
 
@@ -368,7 +379,7 @@ def test_commands_are_no_telemetry(rig: Rig) -> None:
     assert rig.last("/twin/healthy") is False
 
 
-def test_resync_answers_at_once(rig: Rig) -> None:
+def test_resync_service_answers_at_once(rig: Rig) -> None:
     rig.board.run(0.3)
     rig.caught_up()
     future = rig.resync.call_async(Trigger.Request())
@@ -383,7 +394,7 @@ def test_resync_answers_at_once(rig: Rig) -> None:
 OTHERS = ("param.features[0]=SPEED_FORWARD+ANTI_WINDUP", "param.speed_limit=60,90", "param.i_q_limit=2.0,2.5")
 
 
-def test_has_the_parameters_of_the_board(rig: Rig) -> None:
+def test_twin_has_the_parameters_of_the_board(rig: Rig) -> None:
     rig.board.set_parameters(*OTHERS)
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
@@ -397,20 +408,33 @@ def test_has_the_parameters_of_the_board(rig: Rig) -> None:
     assert {v.key: v.value for v in rig.status("comparison").values}["parameters"] == "those of the board"
 
 
-def test_has_the_configuration_that_the_bridge_reads_from_the_board(
+def test_twin_has_the_configuration_that_the_bridge_reads_from_the_board(
     rig: Rig, capfd: pytest.CaptureFixture[str]
 ) -> None:
     rig.board.run(0.3)
     rig.caught_up()
-    published = rig.user.create_publisher(String, topics.TUNING, latched_qos())
-    published.publish(String(data="not TOML ["))
+    rig.tuning.publish(String(data="not TOML ["))
     rig.until(lambda: "invalid configuration of the board" in capfd.readouterr().err)
     text = SERVO_TOML.read_text(encoding="utf-8")
-    published.publish(String(data=text.replace("position_gain     = 60.0", "position_gain = 50.0")))
+    rig.tuning.publish(String(data=text.replace("position_gain     = 60.0", "position_gain = 50.0")))
     rig.until(lambda: "changed configuration of the board" in rig.last("/twin/state"))
 
 
-def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
+def test_nothing_is_compared_before_the_configuration_of_the_board_is_known() -> None:
+    """A board with another configuration than that of the firmware would differ until it has been read."""
+    with Rig(configured=False) as rig:
+        rig.board.run(0.7)
+        rig.until(lambda: rig.last("/twin/state") == "SYNCHRONISING configuration unknown: no message on /servo/tuning")
+        rig.caught_up()
+        assert not rig.last("/twin/healthy")
+        assert not rig.messages["/twin/residual"]
+        rig.tuning.publish(String())
+        rig.board.run(0.7)
+        rig.until(lambda: rig.last("/twin/healthy"))
+        assert rig.messages["/twin/residual"]
+
+
+def test_status_reports_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
     rig.board.set_parameters(*OTHERS, report=False)
     rig.board.enable_axes()
     rig.board.run(0.7)
@@ -420,7 +444,7 @@ def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
     assert "differs by" in rig.status("comparison").message
 
 
-def test_parameters_of_another_version_are_named(rig: Rig) -> None:
+def test_parameters_of_another_version_are_reported(rig: Rig) -> None:
     rig.board_parameters.publish(snapshot_message(["param.warp"], [[8.0]]))
     rig.until(lambda: "the names belong to another version" in rig.status("comparison").message)
     assert rig.status("comparison").level == b"\x01"
@@ -429,7 +453,7 @@ def test_parameters_of_another_version_are_named(rig: Rig) -> None:
     rig.until(lambda: rig.last("/twin/healthy"))
 
 
-def test_messages_of_another_form_change_nothing(rig: Rig) -> None:
+def test_malformed_messages_are_ignored(rig: Rig) -> None:
     rig.snapshot.publish(Float64MultiArray(data=[1.0, 2.0]))
     rig.applied.publish(Float64MultiArray(data=[1.5]))
     rig.snapshot.publish(snapshot_message(["tick"], [[8.0]]))
@@ -439,26 +463,26 @@ def test_messages_of_another_form_change_nothing(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "said"),
+    ("parameters", "reported"),
     [
         ({"plant": "/nowhere/plant.toml"}, "plant"),
         ({"seed": -1}, "seed"),
         ({"position_tolerance": "small"}, "position_tolerance"),
     ],
 )
-def test_parameters_that_make_no_sense(parameters: dict[str, Any], said: str) -> None:
-    with pytest.raises(ParameterError, match=said):
+def test_invalid_parameters_are_refused(parameters: dict[str, Any], reported: str) -> None:
+    with pytest.raises(ParameterError, match=reported):
         Rig(**parameters)
 
 
-def test_main_says_it_in_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+def test_main_reports_an_invalid_parameter_in_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["--ros-args", "-p", "plant:=/nowhere.toml"]) == 2
     error = capfd.readouterr().err
     assert "servo_twin: parameter plant" in error
     assert "Traceback" not in error
 
 
-def test_the_yaml_can_be_loaded() -> None:
+def test_packaged_yaml_can_be_loaded() -> None:
     with Rig(cli_args=["--ros-args", "--params-file", str(CONFIG)]) as rig:
         for name, parameter in PARAMETERS.items():
             assert rig.node.get_parameter(name).value == parameter.default

@@ -31,7 +31,7 @@ def command(tick: int, variable: str = "cmd.position", raw: tuple[int, int] = (1
 
 
 class TestAppliedCommands:
-    def test_counts_missing_commands(self) -> None:
+    def test_missing_commands_are_counted(self) -> None:
         applied_commands = AppliedCommands()
         assert applied_commands.from_reset
         assert applied_commands.missing(800, 0, 0) == 0
@@ -122,7 +122,7 @@ class TestSamples:
     def row(**values: float) -> NDArray[np.float64]:
         return np.array([[values.get(name.replace(".", "_"), 0.0) for name in COLUMNS]])
 
-    def test_reads_counts_states_and_stamps(self) -> None:
+    def test_counts_states_and_stamps_are_read(self) -> None:
         lsb = CATALOGUE["axis1.position"].lsb
         (sample,) = SampleReader(CATALOGUE).rows(
             COLUMNS,
@@ -139,7 +139,7 @@ class TestSamples:
         assert sample.stamp_ns == 1_700_000_000_999_999_999
         assert (sample.faults, sample.expired) == ((0, 0), (False, False))
 
-    def test_reads_faults_and_expired_set_points(self) -> None:
+    def test_faults_and_expired_set_points_are_read(self) -> None:
         others = sum(flag.mask for flag in CATALOGUE.flags["limits"]) & ~EXPIRED
         row = self.row(axis1_faults=2.0**20, axis2_faults=5.0, axis1_limits=others, axis2_limits=EXPIRED | 1)
         (sample,) = SampleReader(CATALOGUE).rows(COLUMNS, row)
@@ -182,7 +182,7 @@ class TestReplica:
         yield replica
         replica.close()
 
-    def test_runs_to_slow_ticks(self, replica: Replica) -> None:
+    def test_replica_runs_to_slow_ticks(self, replica: Replica) -> None:
         assert replica.raw == {}
         replica.run_to(160)
         assert (replica.tick, replica.raw["tick"]) == (160, 160)
@@ -212,15 +212,15 @@ class TestReplica:
         """Only the rising edge counts: a set bit does not stop the axis again after a new set-point."""
         alignment = AxisAlignment(1, CATALOGUE)
         (sample,) = SampleReader(CATALOGUE).rows(COLUMNS, TestSamples.row())
-        said = []
+        reported = []
         for limits in (0, EXPIRED, EXPIRED, 0, EXPIRED):
             replica.raw = {"axis2.limits": limits, "axis1.limits": EXPIRED}
             alignment.observe(replica, sample)
-            said.append(alignment.stopping)
+            reported.append(alignment.stopping)
             alignment.stopping = False
-        assert said == [False, True, False, False, True]
+        assert reported == [False, True, False, False, True]
 
-    def test_runs_until_something_holds(self, replica: Replica) -> None:
+    def test_replica_runs_until_a_condition_holds(self, replica: Replica) -> None:
         assert replica.run_until(lambda: replica.raw.get("axis1.state") == 2, SECOND)
         assert replica.tick % 128 == 0
         tick = replica.tick
@@ -245,7 +245,7 @@ class TestHealth:
         assert result.effort == (0.5 * 1.5, 2.0 * 4.5)
         assert result.values["axis2.i_q"] == 4.5
 
-    def test_becomes_healthy_after_the_hold_time(self) -> None:
+    def test_twin_becomes_healthy_after_the_hold_time(self) -> None:
         monitor = HealthMonitor(Thresholds(hold=0.5))
         assert not monitor.healthy
         assert not self.update(monitor, 10.0)
@@ -268,18 +268,18 @@ class TestHealth:
         assert self.update(monitor, 1.4)
 
     @pytest.mark.parametrize(
-        ("difference", "said"),
+        ("difference", "reported"),
         [
             ({"axis2_position": 0.06}, "axis2: position differs by +0.06 rad"),
             ({"axis1_speed": -11.0}, "axis1: velocity differs by -11 rad/s"),
             ({"axis2_i_q": 0.04}, "axis2: effort differs by +0.08 N m"),
         ],
     )
-    def test_every_quantity_counts(self, difference: dict[str, float], said: str) -> None:
+    def test_every_quantity_can_make_the_twin_unhealthy(self, difference: dict[str, float], reported: str) -> None:
         monitor = HealthMonitor(Thresholds(0.05, 10.0, 0.05, hold=0.0, grace=0.0))
         assert self.update(monitor, 0.0)
         assert not self.update(monitor, 0.1, **difference)
-        assert monitor.reason.startswith(said)
+        assert monitor.reason.startswith(reported)
 
     def test_a_geared_joint_is_compared_in_joint_units(self) -> None:
         zero = dict.fromkeys(COMPARED, 0.0)

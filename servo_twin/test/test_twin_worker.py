@@ -1,4 +1,4 @@
-"""The thread that simulates: order, overload, failure, end."""
+"""The simulation thread: order, overload, failure, end."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIMEOUT = 10.0  # [s]
 
 
 class Recorder:
-    """Takes what a worker publishes; wakes up threads that wait for something in it."""
+    """Records the results of a worker; threads can wait for a condition on them."""
 
     def __init__(self) -> None:
         self.pairs: list[Pair] = []
@@ -51,7 +51,7 @@ class Line:
         self.worker = TwinWorker(self.twin, lambda p: self.recorder.publish(self.twin, p), self.recorder.failed)
         self.rig.twin = self  # type: ignore[assignment]
 
-    # ---- in the part of the twin
+    # ---- interface of the twin
     def samples(self, columns: Any, table: Any) -> None:
         self.worker.samples(columns, table)
 
@@ -72,7 +72,7 @@ def line() -> Iterator[Line]:
         yield line
 
 
-def test_what_goes_in_comes_out_in_order_and_exact(line: Line) -> None:
+def test_pairs_are_published_in_order_and_exact(line: Line) -> None:
     line.worker.start()
     line.rig.enable_axes()
     line.rig.move([2.0, -2.0], seconds=0.3)
@@ -86,13 +86,13 @@ def test_what_goes_in_comes_out_in_order_and_exact(line: Line) -> None:
     assert 0.0 < figures.load <= 1.0
 
 
-def test_what_came_before_the_start_is_not_lost(line: Line) -> None:
+def test_samples_received_before_the_start_are_not_lost(line: Line) -> None:
     line.rig.run(0.1)
     line.worker.start()
     line.recorder.wait_for(lambda: len(line.recorder.pairs) >= 16)
 
 
-def test_too_many_messages_make_it_begin_anew(line: Line) -> None:
+def test_too_many_messages_restart_the_twin(line: Line) -> None:
     line.rig.run(0.3)
     row = np.zeros((1, len(COLUMNS)))
     for tick in range(8, 8 * 1100, 8):
@@ -103,7 +103,7 @@ def test_too_many_messages_make_it_begin_anew(line: Line) -> None:
     assert line.worker.figures().overruns == 1
 
 
-def test_too_much_board_time_makes_it_begin_anew(line: Line) -> None:
+def test_too_large_a_backlog_of_board_time_restarts_the_twin(line: Line) -> None:
     line.rig.run(0.1)
     table = np.zeros((500, len(COLUMNS)))
     table[:, 0] = np.arange(500) * 800 + 80_000
@@ -114,7 +114,7 @@ def test_too_much_board_time_makes_it_begin_anew(line: Line) -> None:
     assert (figures.overruns, figures.backlog) == (1, 0.0)
 
 
-def test_a_table_of_no_use_is_said(line: Line) -> None:
+def test_a_table_without_required_columns_is_reported(line: Line) -> None:
     line.worker.start()
     line.worker.samples(["tick"], np.zeros((1, 1)))
     line.recorder.wait_for(lambda: any("the snapshot has no applied_tick" in s for s in line.recorder.statuses))
@@ -122,7 +122,7 @@ def test_a_table_of_no_use_is_said(line: Line) -> None:
     line.recorder.wait_for(lambda: line.recorder.pairs)
 
 
-def test_a_resync_starts_the_twin_anew(line: Line) -> None:
+def test_a_resync_restarts_the_twin(line: Line) -> None:
     line.worker.start()
     line.rig.run(0.3)
     line.worker.resync("asked")
@@ -132,7 +132,7 @@ def test_a_resync_starts_the_twin_anew(line: Line) -> None:
     assert line.twin.synchronisations == 2
 
 
-def test_a_failure_is_told_and_ends_the_thread(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_is_reported_and_ends_the_thread(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(maximum: int) -> list[Pair]:
         raise ZeroDivisionError("broken")
 
@@ -143,7 +143,7 @@ def test_a_failure_is_told_and_ends_the_thread(line: Line, monkeypatch: pytest.M
     assert isinstance(line.recorder.failures[0], ZeroDivisionError)
 
 
-def test_stops_while_there_is_work(line: Line) -> None:
+def test_worker_stops_with_pending_work(line: Line) -> None:
     line.rig.run(3.0)
     line.worker.start()
     line.worker.stop(TIMEOUT)

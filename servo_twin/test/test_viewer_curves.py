@@ -1,4 +1,4 @@
-"""Points on their way into a recording."""
+"""Points of curves before they are written to a recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from servo_twin.view.curves import Curves, ShaftAngle
 
 
-def test_points_come_out_once_and_in_order() -> None:
+def test_points_are_taken_once_and_in_order() -> None:
     curves = Curves()
     curves.add(np.array([0.0, 0.1]), {"a": np.array([1.0, 2.0]), "b": np.array([5.0, 6.0])})
     curves.add(np.array([0.2]), {"a": np.array([3.0])})
@@ -18,7 +18,7 @@ def test_points_come_out_once_and_in_order() -> None:
 
 
 @pytest.mark.parametrize("later", [0.7, -3.0])
-def test_silence_breaks_a_curve_even_between_two_writes(later: float) -> None:
+def test_missing_telemetry_breaks_a_curve_even_between_two_writes(later: float) -> None:
     curves = Curves()
     curves.add(np.array([1.0]), {"a": np.array([1.0])})
     curves.take()
@@ -30,21 +30,21 @@ def test_silence_breaks_a_curve_even_between_two_writes(later: float) -> None:
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 1000])
-def test_a_hand_moves_thirty_times_a_second_however_the_rows_arrive(chunk: int) -> None:
-    hand = ShaftAngle()
+def test_shaft_pointer_is_updated_at_30_hz_with_any_size_of_messages(chunk: int) -> None:
+    pointer = ShaftAngle()
     times = np.arange(1000, dtype=np.float64) * 0.002
     for first in range(0, 1000, chunk):
         part = times[first : first + chunk]
-        hand.add(part, 10.0 * part)
-    taken, angles = hand.take()
+        pointer.add(part, 10.0 * part)
+    taken, angles = pointer.take()
     assert 55 <= len(taken) <= 60
     assert np.diff(taken).min() >= 1.0 / 30.0 - 1e-9
     assert angles == pytest.approx(10.0 * taken)
-    assert len(hand.take()[0]) == 0
+    assert len(pointer.take()[0]) == 0
 
 
-def test_a_hand_goes_on_after_time_went_back() -> None:
-    hand = ShaftAngle()
-    hand.add(np.array([5.0]), np.array([1.0]))
-    hand.add(np.array([0.1]), np.array([2.0]))
-    assert hand.take()[1].tolist() == [1.0, 2.0]
+def test_shaft_pointer_continues_after_time_has_jumped_back() -> None:
+    pointer = ShaftAngle()
+    pointer.add(np.array([5.0]), np.array([1.0]))
+    pointer.add(np.array([0.1]), np.array([2.0]))
+    assert pointer.take()[1].tolist() == [1.0, 2.0]

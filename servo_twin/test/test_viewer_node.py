@@ -1,4 +1,4 @@
-"""The viewer as a process of its own, with a board and a twin that the test plays over ROS."""
+"""The viewer as a separate process; the test publishes the topics of board and twin."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ pytest.importorskip("rerun")
 pytestmark = [
     pytest.mark.filterwarnings("ignore:RRD file has no footer"),
     pytest.mark.realtime,
-]  # one that is still being written
+]  # a file that is still being written
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
 TIMEOUT = 30.0  # [s]
@@ -58,7 +58,7 @@ def _wait(condition: Callable[[], bool], what: str, seconds: float = TIMEOUT) ->
 
 
 class ViewerProcess:
-    """The process and what it printed."""
+    """The process and its output."""
 
     def __init__(self, folder: Path, **parameters: object) -> None:
         self._log = folder / "log"
@@ -85,7 +85,7 @@ class ViewerProcess:
         return found
 
     def stop(self, number: signal.Signals) -> int:
-        """Exit status after a signal, which has to come within 5 s."""
+        """Exit status after a signal; the process has to end within 5 s."""
         self.process.send_signal(number)
         return self.process.wait(5.0)
 
@@ -170,17 +170,17 @@ def _points(file: Path, entity: str) -> int:
     return 0
 
 
-def _wait_points(file: Path, wanted: dict[str, int]) -> None:
+def _wait_points(file: Path, expected: dict[str, int]) -> None:
     seen: dict[str, int] = {}
 
     def there() -> bool:
-        seen.update({entity: _points(file, entity) for entity in wanted})
-        return seen == wanted
+        seen.update({entity: _points(file, entity) for entity in expected})
+        return seen == expected
 
     try:
         _wait(there, "points")
     except AssertionError:
-        assert seen == wanted
+        assert seen == expected
 
 
 def _texts(file: Path, source: str) -> list[str]:
@@ -195,7 +195,7 @@ TWIN_SPEED = scene.series_entity(1, "speed", scene.TWIN)
 RESIDUAL = scene.residual_entity(0, "position")
 
 
-def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Robot, tmp_path: Path) -> None:
+def test_published_data_are_in_the_file_after_sigterm(start: Start, robot: Robot, tmp_path: Path) -> None:
     file = tmp_path / "new" / "run.rrd"
     viewer = start(record=file, web="false")
     viewer.wait_for("recording to ")
@@ -230,7 +230,7 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     board, twin = read_scalars(file, BOARD_SPEED), read_scalars(file, TWIN_SPEED)
     assert board[0] == pytest.approx(twin[0], abs=1e-6)
     times, currents = read_scalars(file, burst)
-    assert times[0] == pytest.approx(board[0][50], abs=1e-6), "at its tick beside the telemetry"
+    assert times[0] == pytest.approx(board[0][50], abs=1e-6), "at its tick on the time axis of the telemetry"
     assert np.diff(times) == pytest.approx(np.full(99, PERIOD_NS * 1e-9), abs=2e-9)
     assert currents == pytest.approx(0.1 * np.arange(100))
     assert read_scalars(file, burst_of_twin)[0] == pytest.approx(times)
@@ -287,7 +287,7 @@ def test_the_page_is_served_beside_ports_in_use_and_ends_with_the_node(start: St
         (["web:=perhaps"], "parameter web"),
     ],
 )
-def test_parameters_that_make_no_sense_end_it_with_one_sentence(
+def test_invalid_parameters_end_the_viewer_with_one_message(
     parameters: list[str], message: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["--ros-args", *(word for parameter in parameters for word in ("-p", parameter))]) == 2

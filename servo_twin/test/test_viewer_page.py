@@ -1,4 +1,4 @@
-"""The page of the live viewer: on the loopback interface only, and gone when we are."""
+"""The web page of the live viewer: on the loopback interface only, and ended with its owner."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def listener() -> Iterator[int]:
 
 
 def _ports(count: int) -> list[int]:
-    """Ports that were free a moment ago, away from those that users take."""
+    """Ports that were free just before, outside the range that users choose."""
     return [free_port(10_000 + os.getpid() % 20_000 + 40 * k) for k in range(count)]
 
 
 def _listening(port: int) -> list[str]:
-    """Local addresses that listen on a port, hexadecimal as the kernel tells."""
+    """Local addresses that listen on a port, hexadecimal as in /proc."""
     found = []
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for line in Path(table).read_text(encoding="ascii").splitlines()[1:]:
@@ -69,19 +69,19 @@ def _gone(pid: int) -> bool:
         return True
 
 
-def test_a_port_in_use_is_passed_over(listener: int) -> None:
+def test_a_port_in_use_is_skipped(listener: int) -> None:
     assert free_port(listener) > listener
     free = free_port(listener)
     assert free_port(free, exclude=free) > free
 
 
-def test_no_free_port_is_named(monkeypatch: pytest.MonkeyPatch, listener: int) -> None:
+def test_missing_free_port_is_reported_with_the_range(monkeypatch: pytest.MonkeyPatch, listener: int) -> None:
     monkeypatch.setattr("servo_twin.view.web_page._PORTS_TRIED", 1)
     with pytest.raises(WebPageError, match=f"ports {listener} .. {listener} are all in use"):
         free_port(listener)
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the kernel through /proc")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_page_and_data_are_on_the_loopback_interface_only() -> None:
     data, web = _ports(2)
     recording = Recording(grpc_port=data)
@@ -118,6 +118,6 @@ def test_the_page_ends_with_an_owner_that_is_killed() -> None:
     assert _wait(lambda: _gone(child))
 
 
-def test_a_command_that_ends_at_once_is_named() -> None:
+def test_a_command_that_ends_at_once_is_reported() -> None:
     with pytest.raises(WebPageError, match="rerun command ended with status 2"):
         WebPage(_ports(1)[0], "--no-such-option")

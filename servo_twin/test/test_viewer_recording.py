@@ -1,4 +1,4 @@
-"""From telemetry to a recording on disk, read back with rerun's own reader."""
+"""From telemetry to a recording on disk, read with the reader of rerun."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OVER_CURRENT = 1 << 2
 
 @pytest.fixture(autouse=True)
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let rerun raise what it otherwise only warns of."""
+    """Make rerun raise an error instead of a warning."""
     monkeypatch.setenv("RERUN_STRICT", "1")
 
 
@@ -38,7 +38,7 @@ def file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def record(file: Path) -> Callable[[Callable[[Viewer], None]], Viewer]:
-    """Records what a function hands to the viewer."""
+    """Records the data that a function passes to the viewer."""
 
     def run(feed: Callable[[Viewer], None]) -> Viewer:
         viewer = Viewer(Recording(file), CATALOGUE, START_NS)
@@ -67,7 +67,7 @@ def read_strips(file: Path, entity: str) -> list[NDArray[np.float64]]:
     return [np.array(strips[0]) for _, strips in sorted(found, key=lambda pair: pair[0])]
 
 
-def test_board_and_twin_come_back_to_the_tick(record: Record, file: Path) -> None:
+def test_curves_of_board_and_twin_are_recorded_at_their_ticks(record: Record, file: Path) -> None:
     board, twin = move(lag=0.01), move(lag=0.011)
 
     def feed(viewer: Viewer) -> None:
@@ -96,18 +96,18 @@ def test_more_curves_are_shown_where_the_telemetry_has_them(record: Record, file
     assert np.array_equal(read_scalars(file, scene.series_entity(0, extra.name, scene.BOARD))[1], values)
 
 
-def test_a_missing_twin_is_no_trouble(record: Record, file: Path) -> None:
+def test_the_board_is_recorded_without_a_twin(record: Record, file: Path) -> None:
     record(lambda viewer: viewer.board(COLUMNS, move()))
     assert verify(file).returncode == 0
     assert len(read_scalars(file, scene.series_entity(0, "position", scene.BOARD))[0]) == 1000
     assert len(read_scalars(file, scene.series_entity(0, "position", scene.TWIN))[0]) == 0
 
 
-def test_what_a_twin_says_of_the_time_before_is_left_out(record: Record, file: Path) -> None:
+def test_twin_data_from_before_the_first_board_sample_are_omitted(record: Record, file: Path) -> None:
     rows = move()
 
     def feed(viewer: Viewer) -> None:
-        # That of the board may be overtaken on its way.
+        # Messages of the twin may arrive before those of the board.
         viewer.twin(COLUMNS, rows[:100])
         viewer.residual(stamp(0), {"position": [0.1, 0.1]})
         viewer.residual(stamp(EVERY * 550), {"position": [0.1, 0.1]})
@@ -133,7 +133,7 @@ def test_a_twin_without_stamps_is_placed_by_the_ticks_of_the_board(record: Recor
 
 
 @pytest.mark.parametrize("width", [len(COLUMNS), len(COLUMNS) - 2])
-def test_a_twin_without_a_board_has_no_place_in_time(record: Record, file: Path, width: int) -> None:
+def test_twin_data_without_a_board_are_not_recorded(record: Record, file: Path, width: int) -> None:
     record(lambda viewer: viewer.twin(COLUMNS[:width], move()[:, :width]))
     assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.TWIN))[0]) == 0
     assert verify(file).returncode == 0
@@ -168,7 +168,7 @@ def test_residuals_lie_at_the_ticks_of_their_samples(record: Record, file: Path)
     assert len(read_scalars(file, scene.residual_entity(1, "effort"))[0]) == 0
 
 
-def test_states_and_faults_are_told_at_their_tick_with_cause_and_remedy(record: Record, file: Path) -> None:
+def test_states_and_faults_are_logged_at_their_tick_with_cause_and_remedy(record: Record, file: Path) -> None:
     rows = move()
     words = [COLUMNS.index(f"axis2.{name}") for name in ("state", "substate", "faults")]
     rows[600:700, words] = (*FAULT, OVER_CURRENT)
@@ -210,12 +210,12 @@ def test_the_axes_are_drawn_over_each_other_while_they_follow_a_path(record: Rec
     assert [moment for moment, _ in states] == pytest.approx([0.0, 300 * 0.004, 601 * 0.004], abs=1e-6)
     for source, column in ((scene.SET_POINT, "position_ref"), (scene.BOARD, "position")):
         drawn = np.concatenate(read_strips(file, scene.path_entity(source)))
-        wanted = rows[300:601][:, [COLUMNS.index(f"axis{n}.{column}") for n in (1, 2)]]
-        # A strip begins where the one before ends; the vertical axis of the view points downwards.
+        expected = rows[300:601][:, [COLUMNS.index(f"axis{n}.{column}") for n in (1, 2)]]
+        # A strip begins at the end of the previous one; the vertical axis of the view points downwards.
         places = np.unique(drawn, axis=0)
-        assert len(places) == len(np.unique(wanted.astype(np.float32), axis=0))
-        assert np.abs(drawn[0] - wanted[0] * (1, -1)).max() < 1e-5
-        assert np.abs(drawn[-1] - wanted[-1] * (1, -1)).max() < 1e-5
+        assert len(places) == len(np.unique(expected.astype(np.float32), axis=0))
+        assert np.abs(drawn[0] - expected[0] * (1, -1)).max() < 1e-5
+        assert np.abs(drawn[-1] - expected[-1] * (1, -1)).max() < 1e-5
 
 
 def test_a_stop_ends_a_path(record: Record, file: Path) -> None:
@@ -253,7 +253,7 @@ def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
     assert texts[-1] == "link: DISCONNECTED the port vanished"
 
 
-def test_diagnostics_are_told_when_they_change_and_faults_only_once(record: Record, file: Path) -> None:
+def test_diagnostics_are_logged_on_change_and_faults_only_once(record: Record, file: Path) -> None:
     rows = move(samples=20)
     rows[:, COLUMNS.index("axis1.faults")] = OVER_CURRENT
     flag = next(flag for flag in CATALOGUE.flags["faults"] if flag.mask == OVER_CURRENT)
@@ -302,7 +302,7 @@ def test_changes_are_states_and_estimates_are_curves(record: Record, file: Path)
         assert values == pytest.approx(1.0 + 0.1 * np.arange(8))
 
 
-def test_a_reset_of_the_board_is_told_and_breaks_the_curves(record: Record, file: Path) -> None:
+def test_a_reset_of_the_board_is_logged_and_breaks_the_curves(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         viewer.board(COLUMNS, move(first=160_000, samples=10, start_ns=START_NS - 10_000_000_000))
         viewer.board(COLUMNS, move(first=0, samples=10, start_ns=START_NS + 3_000_000_000))
@@ -315,7 +315,7 @@ def test_a_reset_of_the_board_is_told_and_breaks_the_curves(record: Record, file
     assert "reset" in read_texts(file, "/log/board")[0][1]
 
 
-def test_unusable_messages_are_told_once_and_the_rest_is_recorded(record: Record, file: Path) -> None:
+def test_invalid_messages_are_logged_once_and_valid_ones_are_recorded(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         for _ in range(3):
             viewer.board(["time", "axis1.position"], np.zeros((2, 2)))
@@ -385,13 +385,13 @@ def test_a_recording_that_fails_is_reported_and_closed() -> None:
     assert recording.closed
 
 
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match=r"file/run\.rrd cannot be written"):
         Recording(tmp_path / "file" / "run.rrd")
 
 
-def test_a_missing_rerun_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch, file: Path) -> None:
+def test_a_missing_rerun_is_reported_with_its_remedy(monkeypatch: pytest.MonkeyPatch, file: Path) -> None:
     original = builtins.__import__
 
     def without_rerun(name: str, *arguments: Any, **options: Any) -> Any:
@@ -404,7 +404,7 @@ def test_a_missing_rerun_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatc
         Recording(file)
 
 
-def test_what_is_no_recording_is_named(file: Path) -> None:
+def test_a_file_that_is_no_recording_is_reported(file: Path) -> None:
     file.write_bytes(b"no recording at all" * 20)
     with pytest.raises(RecordingError, match="cannot be read as a recording"):
         read_scalars(file, "/plot")

@@ -1,4 +1,4 @@
-"""The board on a pseudo-terminal: pacing with a clock of our own, the terminal, and the whole program."""
+"""The board on a pseudo-terminal: pacing with a simulated clock, the terminal, and the whole program."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TIMEOUT_S = 20.0
 
 
 class TestPacer:
-    def test_follows_the_clock_from_where_it_began(self) -> None:
+    def test_pacer_follows_the_clock_from_its_start(self) -> None:
         pacer = Pacer(1000 * MS, sim_ns=5 * MS)
         assert pacer.target(1000 * MS, 5 * MS) == 5 * MS
         assert pacer.target(1007 * MS, 5 * MS) == 12 * MS
@@ -46,7 +46,7 @@ class TestPacer:
         assert pacer.delay(40 * MS, 11 * MS) == pytest.approx(0.004)
         assert Pacer(0, speed=20.0).target(2 * MS, 0) == 40 * MS
 
-    def test_delay_until_a_moment(self) -> None:
+    def test_delay_until_a_simulated_time(self) -> None:
         pacer = Pacer(100 * MS)
         assert pacer.delay(101 * MS, 4 * MS) == pytest.approx(0.003)
         assert pacer.delay(101 * MS, 1 * MS) == 0.0
@@ -59,9 +59,9 @@ class TestPacer:
         assert pacer.target(1050 * MS, 50 * MS) == 100 * MS  # no more than the largest backlog
         assert pacer.slips == 1
         assert pacer.slipped_s == pytest.approx(0.95)
-        assert pacer.target(1060 * MS, 100 * MS) == 110 * MS  # and then on with the clock
+        assert pacer.target(1060 * MS, 100 * MS) == 110 * MS  # then it follows the clock again
 
-    def test_a_machine_that_is_too_slow_does_not_spiral(self) -> None:
+    def test_the_backlog_of_a_too_slow_machine_is_bounded(self) -> None:
         """Computing takes twice as long as the time it covers: the backlog stays bounded."""
         pacer = Pacer(0, max_lag_s=0.05)
         now = reached = 0
@@ -138,38 +138,38 @@ def run(board: FakeBoard, line: FakeLine, until_ns: int) -> Pacer:
 
 
 class TestServe:
-    def test_keeps_the_board_in_step_while_idle(self) -> None:
+    def test_the_board_is_advanced_while_idle(self) -> None:
         board, line = FakeBoard(), FakeLine([])
         run(board, line, 100 * MS)
         assert board.time_ns == pytest.approx(100 * MS, abs=IDLE_SLICE_S * 1e9)
         assert max(line.delays) <= IDLE_SLICE_S
 
-    def test_bytes_reach_the_board_when_they_were_sent_and_leave_when_they_are_due(self) -> None:
+    def test_bytes_arrive_at_their_send_time_and_leave_at_their_due_time(self) -> None:
         board, line = FakeBoard(), FakeLine([(12_345_678, b"ab"), (31_000_000, b"c")])
         run(board, line, 60 * MS)
         assert board.received == [(12_345_678, b"ab"), (31_000_000, b"c")]
         assert line.written == [(15_345_678, b"ab"), (34_000_000, b"c")]
 
-    def test_what_the_board_has_no_room_for_is_kept(self) -> None:
+    def test_bytes_that_exceed_the_buffer_of_the_board_are_kept(self) -> None:
         board, line = FakeBoard(room=2), FakeLine([(1 * MS, b"abcde"), (1 * MS, b"fg")])
         run(board, line, 40 * MS)
         assert b"".join(data for _, data in board.received) == b"abcdefg"
 
     def test_a_stall_is_reported(self) -> None:
         board, line = FakeBoard(), FakeLine([], stall_ns=500 * MS)
-        told: list[int] = []
+        reported: list[int] = []
         pacer = Pacer(0)
         serve(
             board, line, pacer, lambda: line.now_ns >= 600 * MS,
-            clock_ns=line.clock, on_slip=lambda p: told.append(p.slips),
+            clock_ns=line.clock, on_slip=lambda p: reported.append(p.slips),
         )  # fmt: skip
-        assert told == [1]
+        assert reported == [1]
         assert pacer.slipped_s == pytest.approx(0.5 - 0.05, abs=0.01)
 
 
 class TestSlipReport:
-    def told(self, slips: list[tuple[float, float]], capsys: pytest.CaptureFixture[str]) -> list[str]:
-        """What is said when at these times so many more seconds have slipped."""
+    def reports(self, slips: list[tuple[float, float]], capsys: pytest.CaptureFixture[str]) -> list[str]:
+        """Reports after slips, given as time and additional slipped time [s]."""
         clock = [0.0]
         pacer = Pacer(0)
         report = slip_reporter("registers", lambda: round(clock[-1] * 1e9))
@@ -180,16 +180,16 @@ class TestSlipReport:
             report(pacer)
         return capsys.readouterr().err.splitlines()
 
-    def test_says_how_slow_it_is(self, capsys: pytest.CaptureFixture[str]) -> None:
-        lines = self.told([(0.1 * k, 0.04) for k in range(1, 251)], capsys)
+    def test_report_contains_the_relative_speed(self, capsys: pytest.CaptureFixture[str]) -> None:
+        lines = self.reports([(0.1 * k, 0.04) for k in range(1, 251)], capsys)
         assert len(lines) == 3  # after 1, 11 and 21 s
         for line in lines:
             assert line.startswith("virtual_board: warning: the machine is too slow for a board at level registers")
             assert "time runs at 0.60 of its speed" in line
 
-    def test_one_stall_is_told_with_the_next(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert self.told([(0.5, 0.2)], capsys) == []
-        (line,) = self.told([(0.5, 0.2), (100.0, 0.8)], capsys)
+    def test_a_single_stall_is_reported_with_the_next_one(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert self.reports([(0.5, 0.2)], capsys) == []
+        (line,) = self.reports([(0.5, 0.2), (100.0, 0.8)], capsys)
         assert "at 0.99 of its speed (last 100.0 s); time slipped 2 times, 1.000 s in total" in line
 
 
@@ -213,7 +213,7 @@ def opened(path: Path | str) -> Iterator[int]:
 
 
 class TestTerminal:
-    def test_is_raw_in_both_directions(self) -> None:
+    def test_terminal_is_raw_in_both_directions(self) -> None:
         data = bytes(range(256))
         with Terminal() as line, opened(line.device) as client:
             line.write(data)
@@ -226,7 +226,7 @@ class TestTerminal:
             assert received == data
             assert line.read() == b""
 
-    def test_survives_clients_that_come_and_go(self) -> None:
+    def test_terminal_accepts_successive_clients(self) -> None:
         with Terminal() as line:
             for k in range(3):
                 with opened(line.device) as client:
@@ -235,20 +235,20 @@ class TestTerminal:
                     assert line.read() == b"%d" % k
                 assert not line.wait(0.0)
 
-    def test_drops_and_counts_what_is_not_read(self) -> None:
+    def test_unread_bytes_are_discarded_and_counted(self) -> None:
         with Terminal() as line:
             for _ in range(100):
                 line.write(bytes(1000))
             assert 50_000 < line.lost < 100_000
 
-    def test_link_leads_to_it_and_goes_with_it(self, tmp_path: Path) -> None:
+    def test_link_exists_as_long_as_the_terminal(self, tmp_path: Path) -> None:
         link = tmp_path / "servo"
         with Terminal(link) as line:
             assert os.readlink(link) == line.device
         assert not link.is_symlink()
         assert list(tmp_path.iterdir()) == []
 
-    def test_replaces_links_to_nowhere_and_to_terminals(self, tmp_path: Path) -> None:
+    def test_dangling_links_and_links_to_terminals_are_replaced(self, tmp_path: Path) -> None:
         link = tmp_path / "servo"
         link.symlink_to("/dev/pts/does-not-exist")
         with Terminal(link) as first:
@@ -256,14 +256,14 @@ class TestTerminal:
                 assert os.readlink(link) == second.device != first.device
             assert not link.is_symlink()
 
-    def test_leaves_a_link_that_others_have_taken_over(self, tmp_path: Path) -> None:
+    def test_a_link_replaced_by_another_program_is_kept(self, tmp_path: Path) -> None:
         link = tmp_path / "servo"
         with Terminal(link):
             link.unlink()
             link.symlink_to("/dev/null")
         assert os.readlink(link) == "/dev/null"
 
-    def test_refuses_to_overwrite(self, tmp_path: Path) -> None:
+    def test_files_and_other_links_are_not_overwritten(self, tmp_path: Path) -> None:
         file = tmp_path / "precious"
         file.write_text("data")
         to_file = tmp_path / "link"
@@ -296,7 +296,7 @@ def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def ask(client: int, timeout_s: float = TIMEOUT_S) -> bytes:
-    """One whole answer (2Bh, status 40h, length, data, checksum), or what there is of it within the time."""
+    """One complete answer (2Bh, status 40h, length, data, checksum), or its part received before the timeout."""
     os.write(client, GET_TABLE)
     data, end = b"", time.monotonic() + timeout_s
     while time.monotonic() < end and (len(data) < 3 or len(data) < 4 + data[2]):
@@ -307,7 +307,7 @@ def ask(client: int, timeout_s: float = TIMEOUT_S) -> bytes:
 
 class TestProgram:
     @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-    def test_answers_and_stops_cleanly(self, tmp_path: Path, stop: signal.Signals) -> None:
+    def test_program_answers_and_stops_on_a_signal(self, tmp_path: Path, stop: signal.Signals) -> None:
         link = tmp_path / "servo"
         with program("--link", str(link), "--baud", "1000000", "--seed", "4") as process:
             assert process.stdout is not None
@@ -325,7 +325,7 @@ class TestProgram:
             assert err == ""
         assert not link.is_symlink()
 
-    def test_the_line_has_the_speed_that_was_asked_for(self, tmp_path: Path) -> None:
+    def test_the_line_has_the_requested_baud_rate(self, tmp_path: Path) -> None:
         """Request and answer at 1200 baud take more than 100 ms; at 1 Mbaud they would take 0.2 ms."""
         link = tmp_path / "servo"
         with program("--link", str(link), "--baud", "1200") as process:
@@ -337,8 +337,8 @@ class TestProgram:
                 wire = (len(GET_TABLE) + len(answer)) * 10 / 1200
                 assert time.monotonic() - begin > 0.9 * wire
 
-    def test_flushing_the_port_does_not_disturb_it(self, tmp_path: Path) -> None:
-        """What pyserial does when it opens a port, here in the middle of an answer."""
+    def test_flushing_the_port_does_not_disturb_the_next_exchange(self, tmp_path: Path) -> None:
+        """Flush in the middle of an answer, as pyserial does when it opens a port."""
         link = tmp_path / "servo"
         with program("--link", str(link), "--baud", "1200") as process:
             assert process.stdout is not None
@@ -370,13 +370,13 @@ def test_wrong_options_exit_with_2(arguments: list[str], message: str, capsys: p
 
 
 @pytest.mark.parametrize("arguments", [["--speed", "0"], ["--speed", "nan"], ["--frobnicate"]])
-def test_options_that_make_no_sense(arguments: list[str]) -> None:
+def test_invalid_numbers_and_unknown_options_are_usage_errors(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2
 
 
-def test_a_bad_plant_file_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_plant_file_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "plant.toml"
     file.write_text("[axis1]\nr_s = -1\n")
     assert main(["--plant", str(file)]) == 2

@@ -1,4 +1,4 @@
-"""Telemetry of a move of both shafts, in the format of bridge and twin. For tests."""
+"""Telemetry of a move of both shafts, in the format of bridge and twin."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def download(link: Link, catalogue: Catalogue, samples: list[float], baud: int, 
 def main() -> int:
     """Measure, print a table, write ``out/bench/download.json``."""
     rows = [measure(baud) for baud in BAUDS]
-    print("    baud  bytes  download [s]  on the wire [s]  ratio  telemetry beside it, without [1/s]")
+    print("    baud  bytes  download [s]  on the wire [s]  ratio  telemetry during it, without [1/s]")
     for row in rows:
         print(
             f"{row['baud']:8} {row['bytes']:6} {row['seconds']:13.2f} {row['wire_seconds']:16.2f} {row['ratio']:6.2f}"

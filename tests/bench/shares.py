@@ -1,4 +1,4 @@
-"""Instructions of a turning board by part: firmware, drivers, chip and plant, counted by valgrind.
+"""Instructions of a board with rotating shafts by part: firmware, drivers, chip and plant, counted by valgrind.
 
 The counts do not depend on the load of the machine. Needs valgrind and an extension compiled with line numbers.
 """

@@ -1,8 +1,8 @@
 """Telemetry rate and latency of the whole chain, relative to the limit of the line: ``make bench``.
 
-Virtual board and bridge as processes, a user on ROS topics. Rates are those that the user sees; the limit is what
-the line could carry if request and answer followed each other without a pause. The latency of a set-point runs from its
-publication to the tick at which the firmware took it, both on the ROS clock.
+Virtual board and bridge as processes, a user on ROS topics. Rates are those received by the user; the limit is the rate
+of the line if request and answer followed each other without a pause. The latency of a set-point is the time from its
+publication to the tick at which the firmware applied it, both on the ROS clock.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Real-time factors of one board with two axes, both levels in one run, and of several boards on several threads;
 instructions by part; and other simulators with one drive in the same run. Factors depend on the machine and its load,
-ratios and counts of instructions hardly. One board is timed by the CPU time of its thread; boards in parallel, and the
-one board that they are compared with, by wall-clock time.
+ratios and counts of instructions almost not. One board is timed by the CPU time of its thread; boards in parallel, and
+the one board that they are compared with, by wall-clock time.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SIMULATED: Final[dict[str, float]] = {"registers": 1.0, "ideal": 10.0}
 LOAD: Final = 0.09  # [N m]
 ROUNDS: Final = 30
 """Runs of each state, in turn: other load slows a machine down for seconds."""
-ATTEMPTS: Final = 3  # the best one counts, as other load disturbs
+ATTEMPTS: Final = 3  # the best attempt is used, as other load disturbs
 IDLE_MIN: Final = 0.9
 """Smallest fraction of the available CPU time on a machine without other load."""
 THREADS: Final = (1, 2, 4)
@@ -97,7 +97,7 @@ class ParallelRun:
     """Result of boards that run in parallel."""
 
     factor: float  # simulated time of all boards over wall-clock time [1]
-    had: float  # used fraction of the available CPU time [1]; 1 on an idle machine
+    cpu_share: float  # used fraction of the available CPU time [1]; 1 on an idle machine
 
 
 def run_in_parallel(level: Level, threads: int) -> ParallelRun:
@@ -137,7 +137,7 @@ def _run_once(level: Level, boards: Sequence[Board]) -> ParallelRun:
 def compiler(library: bytes) -> str:
     """Compiler of a library, from its identification string; clang first, as its libraries may contain parts of gcc."""
     found = re.search(rb"(clang) version ([\d.]+)", library) or re.search(rb"(GCC): \([^)]*\) ([\d.]+)", library)
-    return " ".join(part.decode().lower() for part in found.groups()) if found else "a compiler that does not say"
+    return " ".join(part.decode().lower() for part in found.groups()) if found else "unknown compiler"
 
 
 def measure(peer: bool, counted: bool) -> dict[str, Any]:
@@ -162,9 +162,9 @@ def growth(boards: dict[str, dict[str, float]]) -> list[str]:
     single = boards["1"]["factor"]
     many = ", ".join(f"{n}: {each['factor']:.1f} (x {each['factor'] / single:.1f})" for n, each in boards.items())
     lines = [f"turning boards, one per thread, in parallel, by wall-clock time: {many}"]
-    if min(each["had"] for each in boards.values()) < IDLE_MIN:
-        had = ", ".join(f"{n}: {each['had']:.0%}" for n, each in boards.items())
-        lines.append(f"others work on this machine, so this says little; of their time the boards had {had}")
+    if min(each["cpu_share"] for each in boards.values()) < IDLE_MIN:
+        shares = ", ".join(f"{n}: {each['cpu_share']:.0%}" for n, each in boards.items())
+        lines.append(f"other processes are running, so the result is not reliable; CPU share of the boards: {shares}")
     return lines
 
 

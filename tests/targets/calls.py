@@ -110,19 +110,18 @@ def parse_console(text: str) -> Outcome:
     raise ValueError(f"the program did not terminate normally; end of its output: {text[-200:]!r}")
 
 
-def parse_log(words: Sequence[int]) -> Iterator[Call]:
-    """Calls in the log of the recorder (``recorder.h``)."""
+def parse_log(words: Sequence[int], *, snapshots_only: bool = False) -> Iterator[Call]:
+    """Calls in the log of the recorder (``recorder.h``): all, or those with a snapshot."""
     at = 0
     while at < len(words):
-        low, high, kind, axis, size = words[at : at + 5]
-        at += 5
-        out = tuple(words[at : at + size])
-        at += size
-        count = words[at]
-        at += 1
-        fields = tuple((words[k], words[k + 1] | words[k + 2] << 16) for k in range(at, at + 3 * count, 3))
-        at += 3 * count
-        yield Call(low | high << 16, kind, axis, 0, 0, out, fields)
+        begin, snapshot = at + 5, at + 5 + words[at + 4]
+        count = words[snapshot]
+        if count or not snapshots_only:
+            low, high, kind, axis = words[at : begin - 1]
+            values = range(snapshot + 1, snapshot + 1 + 3 * count, 3)
+            fields = tuple((words[k], words[k + 1] | words[k + 2] << 16) for k in values)
+            yield Call(low | high << 16, kind, axis, 0, 0, tuple(words[begin:snapshot]), fields)
+        at = snapshot + 1 + 3 * count
 
 
 def difference(call: Call, recorded: Call, fields: Mapping[int, str]) -> str | None:

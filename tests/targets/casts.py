@@ -44,7 +44,7 @@ class Removal:
 
     file: str  # path below the firmware folder
     start: int  # first character in the file
-    end: int  # character behind it
+    end: int  # character after it
     rest: str  # replacement
     line: int  # line number, from 1
     removed: str  # the cast or macro

@@ -93,7 +93,7 @@ def histories(recordings: Iterable[Recording], catalogue: Catalogue) -> dict[int
     """History of each axis (1, 2) over all runs."""
     found = {axis: History() for axis in AXES}
     for recording in recordings:
-        views = [dict(call.snapshot) for call in recording.calls() if call.snapshot]
+        views = recording.snapshots()
         for axis in AXES:
             found[axis].add(list(_axis_samples(recording, catalogue, axis, views)))
     return found

@@ -62,6 +62,10 @@ class Recording:
         end = self.periods if last is None else last
         return [call for call in parse_log(self.log) if first <= call.period <= end]
 
+    def snapshots(self) -> list[dict[int, int]]:
+        """Raw numbers of every published snapshot, by index in `fields`."""
+        return [dict(call.snapshot) for call in parse_log(self.log, snapshots_only=True)]
+
     def printing(self, first: int, last: int) -> bytes:
         """Return the image with the request to print each call of the periods `first` to `last`."""
         name, every, _, _ = _HEADER.unpack_from(self.image)

@@ -87,7 +87,7 @@ def _pipe() -> Iterator[bytes]:
     """The log, and pipes that do not exist."""
     for number in range(6):
         yield log_request(number)
-    yield log_request(5)  # again
+    yield log_request(5)  # repeated
     for payload in (b"", b"\x01", b"\x02\x00", b"\x01\x00text"):
         yield encode_request(Command.PIPE, payload)
     for payload in (b"", b"\x01\x01\x81", b"\x00\x00\x82", b"\x01\x02\x81", b"\x00\x01\x81"):

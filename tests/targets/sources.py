@@ -60,10 +60,10 @@ class Sources:
         return [path for room in rooms for path in sorted((self.firmware / room).glob("*.c"))]
 
     def replay(self) -> list[Path]:
-        """C files of the replay program beside the core and the machine."""
+        """C files of the replay program, in addition to the core and the machine."""
         return [self.native / f"{name}.c" for name in _REPLAY]
 
     def recorder(self) -> list[Path]:
-        """C files of the recorder: core, virtual board and what stands between them."""
+        """C files of the recorder: core, virtual board and the layer between them."""
         board = [*(self.twin / f"{name}.c" for name in _IDEAL_BOARD), *sorted((self.twin / "plant").glob("*.c"))]
         return [*self.core(), *board, *(self.native / f"{name}.c" for name in _RECORDER)]

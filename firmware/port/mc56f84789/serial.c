@@ -5,7 +5,7 @@
 #define RING_MASK (PORT_RING - 1U)
 #define ERRORS (QSCI_STAT_OR | QSCI_STAT_NF | QSCI_STAT_FE | QSCI_STAT_PF)
 
-/* Divider in eighths of 1/16 bit. */
+/* Register RATE: SERIAL_CLOCK_HZ / (16 x baud), with three fraction bits. */
 static uint16_t rate(uint32_t baud)
 {
     const uint32_t eighths = (uint32_t)SERIAL_RATE_OF(baud);
@@ -56,8 +56,8 @@ void port_receive(hal_t *hal)
 uint16_t hal_receiver_overruns(hal_t *hal) { return hal->overruns; }
 
 /* Bytes below the watermark. On a slow line the background reads them: an interrupt per byte would delay M1 and M2. On
- * a fast line M1 and M2 may interrupt the background for longer than the FIFO takes to fill: then the interrupt is set
- * to a single byte. */
+ * a fast line M1 and M2 may interrupt the background for longer than the FIFO takes to fill: then the watermark is
+ * lowered to one byte. */
 static void fetch_rest(hal_t *hal)
 {
     if (hal->slow_line) {
@@ -88,8 +88,8 @@ bool hal_serial_get(hal_t *hal, uint8_t *byte)
 
 bool hal_serial_put(hal_t *hal, uint8_t byte)
 {
-    const uint16_t waiting = FIELD_GET(REG_READ(hal, REG(QSCI_CTRL2)), QSCI_CTRL2_TFCNT_MASK);
-    if (waiting >= QSCI_FIFO_WORDS) {
+    const uint16_t queued = FIELD_GET(REG_READ(hal, REG(QSCI_CTRL2)), QSCI_CTRL2_TFCNT_MASK);
+    if (queued >= QSCI_FIFO_WORDS) {
         return false;
     }
     REG_WRITE(hal, REG(QSCI_DATA), byte);

@@ -313,7 +313,7 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
 /* ---- serial line ------------------------------------------------------------------------------------------------ */
 
 #define SERIAL_CLOCK_HZ (SERIAL_CLOCK_DOUBLE ? 2UL * BUS_CLOCK_HZ : BUS_CLOCK_HZ)
-#define SERIAL_RATE_OF(baud) ((SERIAL_CLOCK_HZ + (baud)) / (2UL * (baud))) /* eighths of 1/16 bit */
+#define SERIAL_RATE_OF(baud) ((SERIAL_CLOCK_HZ + (baud)) / (2UL * (baud))) /* clock / (16 x baud), 3 fraction bits */
 #define SERIAL_RATE_MIN 8UL
 #define SERIAL_RATE_MAX 0xFFFFUL
 #define SERIAL_RATE SERIAL_RATE_OF(SERIAL_BAUD)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.figure import new_figure, write_figure
 
 from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
@@ -34,12 +35,8 @@ def write_arrays(burst: Burst, path: Path) -> None:
 
 def write_picture(burst: Burst, path: Path) -> None:
     """Write a plot with one diagram per unit."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise UsageError(f"{path.name}: a plot needs matplotlib: pip install matplotlib") from None
     units = list(dict.fromkeys(channel.variable.unit for channel in burst.channels))
-    figure = Figure(figsize=(10.0, 1.5 + 2.2 * len(units)), layout="constrained")
+    figure = new_figure(10.0, 1.5 + 2.2 * len(units))
     plots = figure.subplots(len(units), 1, squeeze=False, sharex=True)[:, 0]
     for channel, column in zip(burst.channels, burst.values, strict=True):
         plots[units.index(channel.variable.unit)].plot(burst.times, column, label=channel.name)
@@ -48,7 +45,7 @@ def write_picture(burst: Burst, path: Path) -> None:
         plot.axvline(0.0, color="0.7", linewidth=0.8)
         plot.legend(loc="upper right")
     plots[-1].set_xlabel(burst.time_head)
-    figure.savefig(path)
+    write_figure(figure, path)
 
 
 def write_recording(burst: Burst, path: Path) -> None:

@@ -10,19 +10,18 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import snapshot_message
 from servo_msgs_py.recorder_setup import setup_message
 from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
+from servo_bridge.board_context import BoardContext
 from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import POLL, Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
-from servo_bridge.deferred_service import DeferredService, Outcome
-from servo_bridge.outcome import error_of
-from servo_bridge.wire.session import Call
+from servo_bridge.deferred_service import DeferredService
+from servo_bridge.outcome import Outcome, answered, error_of
 from servo_msgs_py import topics
 
 
@@ -33,43 +32,29 @@ class RecordService:
 
     Parameters
     ----------
+    context : BoardContext
+        The board.
     node : Node
         Owner of service and topics.
-    catalogue : Catalogue
-        Meaning of the variables.
     request : BurstRequest
         Configuration of the recording.
-    call : Call
-        Calls a function with the board, in the thread of the link.
-    post : callable
-        Runs a function in the thread of the node.
     piece : int
         Bytes read between two samples of the telemetry.
     times : callable
         Converts uint32 ticks, oldest first, to extended ticks and ROS times [ns].
-    info, warn : callable
-        Receive messages for the log.
     """
 
     def __init__(
         self,
+        context: BoardContext,
         node: Node,
-        catalogue: Catalogue,
         request: BurstRequest,
-        call: Call,
-        post: Callable[[Callable[[], None]], None],
-        *,
         piece: int,
         times: Callable[[Any], tuple[Any, Any]],
-        info: Callable[[str], None],
-        warn: Callable[[str], None],
     ) -> None:
-        self._catalogue = catalogue
-        self._call = call
-        self._post = post
+        self._context = context
         self._piece = piece
         self._times = times
-        self._info, self._warn = info, warn
         self._recording: Recording | None = None
         self._answer: Future[Outcome] | None = None
         self.request = request  # a change applies to the next burst
@@ -85,26 +70,24 @@ class RecordService:
         self._end("the link to the board was lost")
 
     def _on_record(self, begin: bool) -> Future[Outcome]:
-        answer: Future[Outcome] = Future()
         if begin and self._recording is not None:
-            answer.set_result((False, f"{self._recording.phase.value}; call record with data: false to end it first"))
-        elif begin:
+            return answered(False, f"{self._recording.phase.value}; call record with data: false to end it first")
+        if begin:
+            answer: Future[Outcome] = Future()
             self._answer = answer
-            self._recording = Recording(self.request.with_tick(), self._catalogue, self._piece)
+            self._recording = Recording(self.request.with_tick(), self._context.catalogue, self._piece)
             self._step()
-        elif self._recording is None:
-            answer.set_result((False, "no recording in progress; call record with data: true first"))
-        else:
-            self._recording.stop()
-            answer.set_result((True, "the recorder is stopped; its samples are read and published on recording"))
-        return answer
+            return answer
+        if self._recording is None:
+            return answered(False, "no recording in progress; call record with data: true first")
+        self._recording.stop()
+        return answered(True, "the recorder is stopped; its samples are read and published on recording")
 
     def _step(self) -> None:
         self._timer.cancel()
         recording = self._recording
         if recording is not None:
-            done = self._call(recording.step)
-            done.add_done_callback(lambda future: self._post(partial(self._stepped, recording, future)))
+            self._context.when_done(self._context.call(recording.step), partial(self._stepped, recording))
 
     def _stepped(self, recording: Recording, step: Future[Burst | None]) -> None:
         if recording is not self._recording:
@@ -119,7 +102,7 @@ class RecordService:
             return
         if self._answer is not None:
             answer, self._answer = self._answer, None
-            self._info(f"recording {recording.text}")
+            self._context.info(f"recording {recording.text}")
             answer.set_result((True, recording.text))
         burst = step.result()
         if burst is not None:
@@ -138,14 +121,14 @@ class RecordService:
         if answer is not None:
             answer.set_result((False, reason))
         elif recording is not None:
-            self._warn(f"the recording has failed: {reason}")
+            self._context.warn(f"the recording has failed: {reason}")
         if recording is not None:
             self._setups.publish(setup_message(None))
 
     def _publish(self, burst: Burst, recording: Recording) -> None:
         how = "" if recording.triggered or recording.request.trigger is None else ", stopped before the trigger"
         self._publisher.publish(table_of(burst, f"{recording.text}{how}", self._times))
-        self._info(f"recorded {len(burst.times)} points{how}")
+        self._context.info(f"recorded {len(burst.times)} points{how}")
 
 
 def table_of(burst: Burst, label: str, times: Callable[[Any], tuple[Any, Any]]) -> Float64MultiArray:

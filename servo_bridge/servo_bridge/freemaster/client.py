@@ -11,7 +11,6 @@ from typing import Final
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
-from servo_bridge.freemaster.dialect import Dialect
 from servo_bridge.freemaster.dialect_v3 import DialectV3
 from servo_bridge.freemaster.dialect_v4 import DialectV4
 from servo_bridge.freemaster.errors import (
@@ -64,7 +63,7 @@ class Client:
         """Returns the password if the target requires one; None: the refusal is raised."""
         self.info = BoardInfo()  # identification by the target
         self.mtu = DEFAULT_MTU
-        self._dialect: Dialect = DialectV4()
+        self._dialect: DialectV3 | DialectV4 = DialectV4()
 
     @property
     def read_limit(self) -> int:
@@ -288,7 +287,7 @@ class Client:
 
     def pipe(self, port: int = 1) -> Pipe:
         """Return the client end of a pipe."""
-        return Pipe(self.exchange, self._dialect, port)
+        return Pipe(self.exchange, self._dialect.exchange_pipe, port)
 
     # ---- recorder ---------------------------------------------------------------------------------------------
 

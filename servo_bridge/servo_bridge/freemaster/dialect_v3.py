@@ -1,4 +1,4 @@
-"""Version 3 of the protocol."""
+"""Version 3 of the protocol: encoding of requests and decoding of responses; see `DialectV4`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TIME_UNITS: Final = (1_000_000_000, 1_000_000, 1_000, 1)  # of the time base, b
 
 
 class DialectV3:
-    """Version 3; see `Dialect`.
+    """Version 3; with the methods of `DialectV4`.
 
     A target supports addresses of 16 or 32 bits, or both; this and its byte order are determined by `identify`.
     """

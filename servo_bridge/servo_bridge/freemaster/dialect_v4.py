@@ -1,4 +1,4 @@
-"""Version 4 of the protocol."""
+"""Version 4 of the protocol: encoding of requests and decoding of responses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ def password_key(password: str, salt: bytes) -> bytes:
 
 
 class DialectV4:
-    """Version 4; see `Dialect`. Independent of the identification of the target."""
+    """Version 4. Independent of the identification of the target.
+
+    Methods return requests and raise `CodecError` for arguments that the version does not support; methods named
+    ``parse_...`` decode the data of a response.
+    """
 
     read_memory = staticmethod(commands.read_memory)
     write_memory = staticmethod(commands.write_memory)
@@ -35,6 +39,8 @@ class DialectV4:
     exchange_pipe = staticmethod(commands.exchange_pipe)
 
     def identify(self, send: SendRequest) -> BoardInfo:
+        """Identify the target."""
+
         def text(key: str) -> str:
             value = self.get_config(send, key)
             return "" if value is None else value.split(b"\x00", 1)[0].decode("utf-8", "replace")
@@ -62,6 +68,7 @@ class DialectV4:
         )
 
     def fence(self, send: SendRequest) -> Fence | None:
+        """Request whose response never changes; after `identify`."""
         request = commands.get_config("PV")
         try:
             response = send(request)
@@ -70,6 +77,7 @@ class DialectV4:
         return Fence(request.frame, V4.answer(response.status, response.data))
 
     def get_config(self, send: SendRequest, key: str) -> bytes | None:
+        """Read a configuration value; None if it does not exist."""
         try:
             return commands.parse_config(key, send(commands.get_config(key)).data)
         except StatusError as error:
@@ -78,6 +86,15 @@ class DialectV4:
             raise
 
     def log_in(self, send: SendRequest, level: int, password: str) -> int:
+        """Log in with a password; returns the granted level.
+
+        Raises
+        ------
+        StatusError
+            If the password is wrong.
+        FreemasterError
+            If this program does not support the passwords of the board; version 3 has none.
+        """
         challenge = send(commands.begin_login(level)).data
         algorithm, end = decode_uleb(challenge)
         if algorithm == commands.NO_PASSWORD:
@@ -89,4 +106,5 @@ class DialectV4:
         return send(commands.finish_login(level, password_key(password, challenge[end:]))).data[0]
 
     def recorder(self, send: SendRequest, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
+        """Return the recorder with this number."""
         return RecorderV4(send, index, payload_limit)

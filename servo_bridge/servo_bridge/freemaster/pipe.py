@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
-from servo_bridge.freemaster.dialect import Dialect
+from servo_bridge.freemaster.commands import Request
 from servo_bridge.freemaster.errors import CodecError
 from servo_bridge.freemaster.line import SendRequest
 
@@ -23,8 +24,8 @@ class Pipe:
     ----------
     send : callable
         Sends a request; see `Line.exchange`.
-    dialect : Dialect
-        Version of the protocol.
+    request : callable
+        Request with a payload, in the version of the protocol.
     port : int
         Number of the pipe, 1 .. 127.
 
@@ -34,10 +35,10 @@ class Pipe:
         If the port does not exist.
     """
 
-    def __init__(self, send: SendRequest, dialect: Dialect, port: int = 1) -> None:
+    def __init__(self, send: SendRequest, request: Callable[[bytes], Request], port: int = 1) -> None:
         if not 1 <= port <= PORT_MAX:
             raise CodecError(f"pipe {port} is not 1 .. {PORT_MAX}")
-        self._send, self._dialect, self._port = send, dialect, port
+        self._send, self._request, self._port = send, request, port
         self._odd = False
         self._acknowledged = 0
         self._in_step = False
@@ -67,7 +68,7 @@ class Pipe:
 
     def _exchange(self, data: bytes) -> tuple[bytes, int]:
         head = self._port | (_TOGGLE if self._odd else 0)
-        answer = self._send(self._dialect.exchange_pipe(bytes((head, self._acknowledged)) + data)).data
+        answer = self._send(self._request(bytes((head, self._acknowledged)) + data)).data
         if len(answer) < _HEAD or answer[0] != head:
             raise CodecError(f"response {answer.hex(' ') or 'without data'} to a request to pipe {self._port}")
         self._odd = not self._odd

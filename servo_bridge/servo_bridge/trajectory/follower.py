@@ -8,7 +8,7 @@ and points of the board in motor units.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import Final
@@ -28,13 +28,19 @@ LEAD: Final = 0.1
 """Time from the newest telemetry to the first point [s]: a sample in transit, two writes, 1.5 ms of the board, and
 delays of a busy computer."""
 
+_LEADS: Final = (LEAD, 3.0 * LEAD, 9.0 * LEAD)
+"""Lead of a path from standstill at each attempt [s]: on a busy computer the first points may come too late."""
+
 _LEAD_REMAINDER_MIN: Final = 0.7
-"""Smallest fraction of `LEAD` that must remain after the planning of a path."""
+"""Smallest fraction of the lead that must remain after the planning of a path."""
+
+_LATE: Final = 0.02
+"""Estimated time before the start of a path at which its points come too late for the board [s]."""
 
 _LEAD_MAX: Final = 5.0
 """Largest lead [s]."""
 
-_PLAN_AHEAD: Final = 0.2
+_PLAN_AHEAD: Final = 0.4
 """Time before its start at which a path is planned and sent [s]; until then the present path continues."""
 
 _HISTORY = round(0.2 / PERIOD)
@@ -60,14 +66,29 @@ class AxisReport:
 
 
 @dataclass
+class _Request:
+    """Request of a path, and its progress."""
+
+    axes: tuple[int, ...]
+    plan: Plan
+    start: float  # not before this time [s]
+    begun: Callable[[float], None]
+    refused: Callable[[TrajectoryError], None]
+    abandoned: Callable[[str], None] | None
+    postponed: Callable[[], bool] | None
+    takes_over: str
+    attempt: int = 0  # index in `_LEADS`
+    repeatable: bool = False  # its joints had no path, and the board has not accepted a point
+
+
+@dataclass
 class _Axis:
     """Path of one axis and its points that are not sent yet."""
 
     path: Path | None = None
-    plan: Plan | None = None  # of the path
+    request: _Request | None = None  # of the path
     tail: list[TimedPoints] = field(default_factory=list)  # extensions of the path since `whole`
     position_ref: float = 0.0  # of the joint
-    abandoned: Callable[[str], None] | None = None  # called if `path` is not followed to its end
     waiting: deque[TimedPoint] = field(default_factory=deque)
     ticks: deque[int] = field(default_factory=deque)  # of `waiting`, extended
     sent: deque[int] = field(default_factory=deque)  # ticks of points in the queue of the board
@@ -85,17 +106,6 @@ class _Axis:
             self.path = extended(self.path, concatenated(self.tail), since * PERIOD)
             self.tail.clear()
         return self.path
-
-
-@dataclass
-class _Request:
-    joints: tuple[int, ...]
-    plan: Plan
-    start: float  # not before this time [s]
-    begun: Callable[[float], None]
-    refused: Callable[[TrajectoryError], None]
-    abandoned: Callable[[str], None] | None
-    takes_over: str
 
 
 class Follower:
@@ -128,6 +138,7 @@ class Follower:
         self._axes = [_Axis() for _ in range(AXES)]
         self._request: _Request | None = None
         self._now = 0
+        self._sampled = 0.0  # time of the host at the newest sample [s]
         self.torque_constants: Sequence[float] | None = None
 
     # ---- requests
@@ -139,6 +150,7 @@ class Follower:
         refused: Callable[[TrajectoryError], None],
         start: float = 0.0,
         abandoned: Callable[[str], None] | None = None,
+        postponed: Callable[[], bool] | None = None,
         takes_over: str = "another trajectory took over",
     ) -> None:
         """Follow a path as soon as the axes are ready; a pending request is replaced.
@@ -157,13 +169,17 @@ class Follower:
             Earliest begin [s].
         abandoned : callable, optional
             Called with the reason if the path has begun but is not followed to its end; once per joint.
+        postponed : callable, optional
+            Called if the first points of a path from standstill have reached the board too late. True: the path is
+            planned again and begins later. False, or without this function: it is abandoned. A path with `start` is
+            always abandoned.
         takes_over : str
             Reported for the replaced paths and request.
         """
         if self._request is not None:
             self._request.refused(TrajectoryError(takes_over))
         axes = tuple(self._joints.index(joint) for joint in joints)
-        self._request = _Request(axes, plan, start, begun, refused, abandoned, takes_over)
+        self._request = _Request(axes, plan, start, begun, refused, abandoned, postponed, takes_over)
 
     def withdraw(self, plan: Plan) -> None:
         """Discard a request that has not begun, without a result."""
@@ -172,14 +188,63 @@ class Follower:
 
     def cancel(self, axis: int, reason: str) -> None:
         """Discard the path of an axis, and a request for this axis."""
-        before = self._axes[axis]
-        self._axes[axis] = _Axis(position_ref=before.position_ref)
-        if before.abandoned is not None:
-            before.abandoned(reason)
+        ended = self._discard(axis)
+        if ended is not None and ended.abandoned is not None:
+            ended.abandoned(reason)
         request = self._request
-        if request is not None and axis in request.joints:
+        if request is not None and axis in request.axes:
             self._request = None
             request.refused(TrajectoryError(reason))
+
+    def _discard(self, axis: int) -> _Request | None:
+        """Discard the path of an axis and return its request."""
+        before = self._axes[axis]
+        self._axes[axis] = _Axis(position_ref=before.position_ref)
+        return before.request
+
+    def points_accepted(self, axes: Iterable[int]) -> None:
+        """The board has accepted points of these axes."""
+        for axis in axes:
+            request = self._axes[axis].request
+            if request is not None:
+                request.repeatable = False
+
+    def postpone(self, axes: Collection[int]) -> bool:
+        """Plan a path again with a longer lead, if the board has refused its first points because they came too late.
+
+        Parameters
+        ----------
+        axes : collection of int
+            Axes of the refused points.
+
+        Returns
+        -------
+        bool
+            False: nothing is changed; the caller ends the paths of these axes.
+        """
+        request = self._axes[min(axes)].request
+        if request is None or not request.repeatable or self._request is not None:
+            return False
+        if any(self._axes[axis].request is not request for axis in (*axes, *request.axes)):
+            return False
+        late = self._time() > self._start(request) - _LATE
+        if not late or request.start or request.attempt + 1 == len(_LEADS):
+            return False
+        if request.postponed is None or not request.postponed():
+            return False
+        for axis in request.axes:
+            self._discard(axis)
+        request.attempt += 1
+        self._request = request
+        return True
+
+    def _time(self) -> float:
+        """Board time, estimated with the clock of the host [s]."""
+        return self.now + self._clock() - self._sampled
+
+    def _start(self, request: _Request) -> float:
+        """Start of the path of a request [s]."""
+        return min(path.start_time for path in (self._axes[axis].path for axis in request.axes) if path is not None)
 
     @property
     def now(self) -> float:
@@ -189,7 +254,7 @@ class Follower:
     @property
     def axes(self) -> frozenset[int]:
         """Axes that must be in mode TRAJECTORY."""
-        requested = set(self._request.joints) if self._request is not None else set()
+        requested = set(self._request.axes) if self._request is not None else set()
         return frozenset(requested | {axis for axis, one in enumerate(self._axes) if one.path is not None})
 
     def paths(self) -> Mapping[str, Path]:
@@ -202,7 +267,8 @@ class Follower:
 
     def follows(self, joint: str, plan: Plan) -> bool:
         """True if a joint follows the path of a plan, or an extension of it."""
-        return self._axes[self._joints.index(joint)].plan is plan
+        request = self._axes[self._joints.index(joint)].request
+        return request is not None and request.plan is plan
 
     def extend(self, joint: str, points: TimedPoints) -> None:
         """Extend the path of a joint along timed points.
@@ -237,12 +303,13 @@ class Follower:
         reports : sequence of AxisReport
             Per axis.
         """
-        self._now = tick
+        self._now, self._sampled = tick, self._clock()
         for one in self._axes:
             while one.sent and one.sent[0] <= tick:
                 one.sent.popleft()
-            if one.path is not None and not one.waiting and tick > one.end() + round(LEAD / PERIOD):
-                one.path = one.plan = one.abandoned = None
+            ended = one.path is not None and not one.waiting and tick > one.end() + round(LEAD / PERIOD)
+            if ended and not (one.request is not None and one.request.repeatable):
+                one.path = one.request = None
                 one.tail.clear()
         if self._request is not None and self._ready(self._request, reports):
             self._begin(self._request)
@@ -257,7 +324,7 @@ class Follower:
         return all(
             reports[axis].follows
             and (self._axes[axis].path is not None or self._axes[axis].held == reports[axis].position_ref)
-            for axis in request.joints
+            for axis in request.axes
         )
 
     def running(self) -> Path:
@@ -273,19 +340,20 @@ class Follower:
     def _begin(self, request: _Request) -> None:
         self._request = None
         begin = self._clock()
-        lead = LEAD
+        lead_min = lead = _LEADS[request.attempt]
         try:
             while True:
                 time = (self._now + round((self._clock() - begin + lead) / PERIOD)) * PERIOD
                 path, points = self._plan(request, time)
                 # The planning time grows with the number of points; the board needs the first point in time.
                 spent = self._now * PERIOD + self._clock() - begin
-                if path.start_time - spent > _LEAD_REMAINDER_MIN * LEAD or lead > _LEAD_MAX:
+                if path.start_time - spent > _LEAD_REMAINDER_MIN * lead_min or lead > _LEAD_MAX:
                     break
                 lead += LEAD + 2.0 * (self._clock() - begin)
         except TrajectoryError as error:
             request.refused(error)
             return
+        request.repeatable = all(self._axes[axis].path is None for axis in request.axes)
         for axis in map(self._joints.index, path.joints):
             joint = self._joints[axis]
             one = self._axes[axis]
@@ -296,10 +364,9 @@ class Follower:
             self._put(axis, mine, replaces=True)
             own = path.select([joint])
             one.path = own if one.path is None else spliced(one.path, own, time)
-            one.plan = request.plan
-            before, one.abandoned = one.abandoned, request.abandoned
-            if before is not None:
-                before(request.takes_over)
+            replaced, one.request = one.request, request
+            if replaced is not None and replaced.abandoned is not None:
+                replaced.abandoned(request.takes_over)
         request.begun(path.end_time)
 
     def _plan(self, request: _Request, time: float) -> tuple[Path, dict[str, TimedPoints]]:

@@ -85,6 +85,10 @@ class Goal:
         """The path has begun; it ends at a time [s]."""
         self._monitor = GoalMonitor(*self._tolerances[:2], end, self._tolerances[2])
 
+    def postponed(self) -> None:
+        """The first points have reached the board too late; the path will begin later."""
+        self._monitor = None
+
     def refused(self, error: Rejected) -> None:
         """The path was refused."""
         code = error.code if isinstance(error, TrajectoryError) else ErrorCode.INVALID_GOAL

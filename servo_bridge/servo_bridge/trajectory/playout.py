@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import insort
 from collections import deque
+from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 
@@ -21,6 +22,18 @@ _STEP = 1.0
 
 _LATE_MAX = 10
 """Consecutive messages later than `_STEP` until the clock of the sender counts as reset."""
+
+
+@dataclass(frozen=True)
+class PlayoutFigures:
+    """State of a jitter buffer."""
+
+    delay: float  # from the arrival of the fastest message to its use in the path [s]
+    jitter: float  # spread of the transit times [s]
+    period: float  # period of the stamps [s]
+    received: int  # messages
+    lost: int  # missing messages
+    late: int  # messages after their due time
 
 
 class PlayoutClock:
@@ -86,15 +99,24 @@ class PlayoutClock:
             self.lost -= 1
 
     @property
+    def bound(self) -> float:
+        """Bound of the delay without the lead [s]."""
+        return self.period if self._delay_max is None else self._delay_max
+
+    @property
     def delay_target(self) -> float:
         """Delay without the lead according to the estimates, within its bound [s]."""
-        bound = self.period if self._delay_max is None else self._delay_max
-        return min(self.period + self.jitter, bound)
+        return min(self.period + self.jitter, self.bound)
 
     @property
     def delay(self) -> float:
         """Present delay with the lead, relative to the fastest message [s]."""
         return self.lead if self._shift is None else self._shift - self.offset
+
+    @property
+    def figures(self) -> PlayoutFigures:
+        """Present state."""
+        return PlayoutFigures(self.delay, self.jitter, self.period, self.received, self.lost, self.late)
 
     def due(self, time: float, step: float) -> tuple[float, float]:
         """Stamp that is due at a local time, and its rate of change; called once per step.

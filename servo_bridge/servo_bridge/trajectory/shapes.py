@@ -73,7 +73,8 @@ def move(
     finite = [min(b.velocity_max, b.acceleration_max, b.torque_max if b.inertia else math.inf) for b in bounds]
     if not all(map(math.isfinite, finite or [math.inf])):
         raise TrajectoryError(
-            "a joint has no limit and there is no duration; write a duration, or limits of each joint"
+            "no duration is given, and a joint has no velocity, acceleration or torque limit; "
+            "write a duration, or limits of each joint"
         )
     return _shortest(in_time, bounds)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Final
 
 from servo_msgs_py.joints import Joint, joint_names
@@ -17,10 +17,12 @@ from servo_bridge.set_points import JointSetPoint
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import POINTS_REFUSED, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
-from servo_bridge.trajectory.path import Path, State
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.playout import PlayoutFigures
 from servo_bridge.trajectory.shapes import stop
-from servo_bridge.trajectory.stream import Stream, StreamReport
+from servo_bridge.trajectory.stream import Stream
 from servo_bridge.trajectory.timed_points import PERIOD
+from servo_bridge.trajectory.tracker import Tracker
 
 _WAITING_MAX: Final = 64
 """Messages kept for a stream that has not begun."""
@@ -55,6 +57,14 @@ def stream_lead(baud: int) -> float:
         Line speed [bit/s].
     """
     return 0.027 + 450 * 10 / baud
+
+
+@dataclass(frozen=True)
+class StreamReport(PlayoutFigures):
+    """State of all streams together: the largest figures, and the joints."""
+
+    moving: tuple[str, ...]  # joints with an active stream
+    starved: tuple[str, ...]  # joints that stop, because messages are missing for longer than the bridged time
 
 
 @dataclass
@@ -133,8 +143,9 @@ class Streamer:
             joint = self._joints[axis]
             if mine.stream is None or mine.plan is None or not self._follower.follows(joint, mine.plan):
                 continue
-            mine.stream.lead = self._lead
-            for points in mine.stream.points(now + self._lead).values():
+            mine.stream.clock.lead = self._lead
+            points = mine.stream.points(now + self._lead)
+            if points is not None:
                 self._follower.extend(joint, points)
         self._remove_replaced()
 
@@ -145,13 +156,13 @@ class Streamer:
     @property
     def report(self) -> StreamReport | None:
         """State of all streams together; None before the first one."""
-        reports = [mine.stream.report for mine in self._streams.values() if mine.stream is not None]
-        if reports:
-            figures = ("delay", "jitter", "period", "received", "lost", "late")
+        streams = {self._joints[axis]: mine.stream for axis, mine in self._streams.items() if mine.stream is not None}
+        if streams:
+            figures = [stream.clock.figures for stream in streams.values()]
             self._last = StreamReport(
-                **{name: max(getattr(report, name) for report in reports) for name in figures},
-                moving=tuple(joint for report in reports for joint in report.moving),
-                starved=tuple(joint for report in reports for joint in report.starved),
+                **{each.name: max(getattr(one, each.name) for one in figures) for each in fields(PlayoutFigures)},
+                moving=tuple(joint for joint, stream in streams.items() if stream.moving),
+                starved=tuple(joint for joint, stream in streams.items() if stream.starved),
             )
         elif self._last is not None:
             self._last = replace(self._last, moving=(), starved=())
@@ -168,7 +179,7 @@ class Streamer:
             begin = max(round(now / PERIOD), math.ceil((arrival + self._lead) / PERIOD))
             start = running.select(joints).state(begin * PERIOD)
             for k, axis in enumerate(axes):
-                self._begin(axis, _state_of(start, k), begin)
+                self._begin(axis, float(start.position[k]), float(start.velocity[k]), begin)
             # Path for the case that the streams do not continue.
             limits = [self._streams[axis].limits.acceleration_max for axis in axes]
             moving = abs(start.velocity).max() > _AT_REST or abs(start.acceleration).max() > _AT_REST
@@ -195,18 +206,15 @@ class Streamer:
         self._requested = plan
         self._follower.request(joints, plan, begun, refused, abandoned=abandoned)
 
-    def _begin(self, axis: int, start: State, begin: int) -> None:
+    def _begin(self, axis: int, position: float, velocity: float, begin: int) -> None:
         """Create the stream of a joint; repeated if the path is planned again for a later begin."""
         mine = self._streams[axis]
         mine.stream = Stream(
-            [self._joints[axis]],
-            start,
-            [mine.limits.acceleration_max],
-            [mine.limits.velocity_max],
-            lead=self._lead,
+            Tracker(position, velocity, mine.limits.acceleration_max, mine.limits.velocity_max),
+            self._lead,
+            begin,
             delay_max=self._delay_max,
-            begin=begin,
-            gear_ratios=[self._gear_ratios[axis]],
+            gear_ratio=self._gear_ratios[axis],
         )
         for message in mine.waiting:
             _feed(mine.stream, *message)
@@ -218,17 +226,10 @@ class Streamer:
                 del self._streams[axis]
 
 
-def _state_of(state: State, column: int) -> State:
-    """State of one joint."""
-    parts = (state.position, state.velocity, state.acceleration, state.effort)
-    return State(*(part[column : column + 1] for part in parts))
-
-
 def _feed(stream: Stream, stamp: float, arrival: float, point: JointSetPoint) -> None:
     """Pass a message to the stream of its joint."""
     assert point.position is not None
-    velocity = math.nan if point.velocity is None else point.velocity
-    stream.take(stamp, arrival, [point.position], [velocity], [point.effort or 0.0])
+    stream.take(stamp, arrival, point.position, point.velocity, point.effort or 0.0)
 
 
 def require_within(source: str, joint: str, point: JointSetPoint, limits: Limits) -> None:

@@ -25,7 +25,9 @@ from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from servo_bridge.deferred_service import DeferredService, Outcome
+from servo_bridge.board_context import BoardContext
+from servo_bridge.deferred_service import DeferredService
+from servo_bridge.outcome import Outcome, answered
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import Plan, read_blocks
@@ -60,40 +62,32 @@ class TuningService:
 
     Parameters
     ----------
+    context : BoardContext
+        Access to the board, the executor and the log.
     node : Node
         Owner of service and topic.
     path : str
         File with the configuration.
-    call : Call
-        Calls a function with the board, in the thread of the link.
-    post : callable
-        Runs a function in the thread of the node.
     take : callable
         Starts a write of ``config.take`` like a command, in the thread of the node; the future has the tick of its
         effect.
     taken : callable
         Called in the thread of the node after a change of the blocks.
-    info, warn : callable
-        Receive messages for the log, in the thread of the node.
     """
 
     def __init__(
         self,
+        context: BoardContext,
         node: Node,
         path: str,
-        call: Call,
-        post: Callable[[Callable[[], None]], None],
-        *,
         take: Callable[[CommandWrite], Future[int]],
         taken: Callable[[], None],
-        info: Callable[[str], None],
-        warn: Callable[[str], None],
     ) -> None:
         self.path = path  # a change applies to the next call
-        self._memory = _LinkMemory(call)
-        self._post = post
+        self._context = context
+        self._memory = _LinkMemory(context.call)
+        self._post = context.post
         self._take, self._taken = take, taken
-        self._info, self._warn = info, warn
         self._process = TuningProcess()
         self._busy = False
         self._published: str | None = None  # since the connection
@@ -115,20 +109,19 @@ class TuningService:
         self._jobs.put(None)
 
     def _on_tune(self, send: bool) -> Future[Outcome]:
-        answer: Future[Outcome] = Future()
         if not self.path:
-            answer.set_result((False, "the parameter tuning is empty; set it to the path of a TOML file first"))
-        elif self._busy:
-            answer.set_result((False, "a tune request is in progress; call again after its response"))
-        else:
-            self._busy = True
-            self._jobs.put(partial(self._tune, Path(self.path), send, answer))
+            return answered(False, "the parameter tuning is empty; set it to the path of a TOML file first")
+        if self._busy:
+            return answered(False, "a tune request is in progress; call again after its response")
+        self._busy = True
+        answer: Future[Outcome] = Future()
+        self._jobs.put(partial(self._tune, Path(self.path), send, answer))
         return answer
 
     def _answer(self, answer: Future[Outcome], outcome: Outcome) -> None:
         self._busy = False
         success, message = outcome
-        (self._info if success else self._warn)(f"tune: {message.splitlines()[-1]}")
+        (self._context.info if success else self._context.warn)(f"tune: {message.splitlines()[-1]}")
         answer.set_result(outcome)
 
     def _publish(self, text: str) -> None:
@@ -214,7 +207,7 @@ class TuningService:
         except LinkDownError:
             return  # reported elsewhere; read again after the reconnection
         except Exception as error:  # includes internal errors: the thread continues
-            self._post(partial(self._warn, f"the configuration of the board is not known: {_text(error)}"))
+            self._post(partial(self._context.warn, f"the configuration of the board is not known: {_text(error)}"))
             text = ""
         self._post(partial(self._publish, text))
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Final, Protocol, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
@@ -27,11 +27,11 @@ _SHOWN: Final = 4
 class BoardMismatchError(FreemasterError):
     """The variables of the board do not match the catalogue; commands are not permitted."""
 
-    def __init__(self, reason: str, remedy: str, *, stranger: bool = False) -> None:
+    def __init__(self, reason: str, remedy: str, *, foreign: bool = False) -> None:
         super().__init__(f"{reason}; {remedy}")
         self.reason = reason  # difference
         self.remedy = remedy  # action of the user
-        self.stranger = stranger  # not a servo board
+        self.foreign = foreign  # not a servo board
 
 
 def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
@@ -188,13 +188,15 @@ class Session:
                 self.client.write_memory(variable.address + offset + start, data[start : start + step], lengthy=True)
 
 
-def _known_texts(client: Client, catalogue: Catalogue, rows: Sequence[TableRow]) -> Mapping[int, bytes]:
+def _known_texts(
+    read_hash: Callable[[int], int], catalogue: Catalogue, rows: Sequence[TableRow]
+) -> Mapping[int, bytes]:
     """Texts of the variable table if the board matches this catalogue; reading them would triple the time."""
     texts = texts_by_address(catalogue, [row[:2] for row in rows])
     for name, _, address, _ in rows if texts else ():
         if texts[name] == _HASH.encode():
             with suppress(StatusError):
-                if int.from_bytes(client.read_memory(address, 4), "little") == catalogue.hash:
+                if read_hash(address) == catalogue.hash:
                     return texts
     return {}
 
@@ -208,12 +210,13 @@ def connect(client: Client, catalogue: Catalogue) -> Session:
         If there is no response, another protocol, or no table of variables.
     """
     info = client.identify()
-    targets = {target.name: target for target in discover(client, info, partial(_known_texts, client, catalogue))}
+    read_hash = cache(lambda address: int.from_bytes(client.read_memory(address, 4), "little"))
+    targets = {target.name: target for target in discover(client, info, partial(_known_texts, read_hash, catalogue))}
     mismatch: BoardMismatchError | None = None
     try:
         found = targets.get(_HASH)
-        reported = None if found is None or found.size != 4 else client.read_memory(found.address, 4)
-        check_contract(catalogue, info, targets, None if reported is None else int.from_bytes(reported, "little"))
+        reported = None if found is None or found.size != 4 else read_hash(found.address)
+        check_contract(catalogue, info, targets, reported)
     except BoardMismatchError as error:
         mismatch = error
     contracts = catalogue.variables if mismatch is None else {}
@@ -242,7 +245,7 @@ def check_contract(
         raise BoardMismatchError(
             f"{name} has no variable {_HASH}: it does not run the servo firmware",
             "use the port of the servo board, or flash the firmware of this release",
-            stranger=True,
+            foreign=True,
         )
     remedy = "flash the firmware of this release, or use the host software of the board's release"
     if reported_hash != catalogue.hash:

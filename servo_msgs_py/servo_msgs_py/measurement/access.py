@@ -112,8 +112,8 @@ class BoardAccess(BlockMemory, Protocol):
         start : callable, optional
             Called when the recorder is armed; starts the process to be recorded.
         trigger : str, optional
-            Variable: the first sample is the one at which it is above zero. On a serial line `start` is called only
-            after the length of the recording less `lead`, because the memory has to be filled once. By default the
+            Variable: the first sample is the one at which it is above zero. On a serial line the call of `start` is
+            delayed by the recording time minus `lead`, so that the buffer is full before the trigger. By default the
             recording begins before the call of `start`, on a serial line by up to 0.3 s.
         lead : float, optional
             Minimum time from the call of `start` to the trigger [s].
@@ -195,7 +195,7 @@ def refuse_faults(access: BoardAccess, axis: int) -> None:
 
 @contextmanager
 def faults_refused(access: BoardAccess, axis: int) -> Iterator[None]:
-    """Raise `refuse_faults` instead of any other error if the axis has a fault at the end of the block."""
+    """Call `refuse_faults` at the end of the block; its error replaces a `MeasurementError` of the block."""
     try:
         yield
     except MeasurementError:

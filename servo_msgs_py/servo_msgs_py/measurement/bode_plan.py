@@ -21,17 +21,17 @@ BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor during 
 SETTLE: Final = 0.3  # settling time at the constant speed [s]
 
 _CYCLES_MIN: Final = 4.0  # of the lowest frequency in a sweep
-_STRETCH: Final = 1.3  # factor by which a sweep may begin lower, with fewer cycles, instead of an additional sweep
+_EXTENSION_MAX: Final = 1.3  # the lowest sweep is extended down to f_min by at most this factor, with fewer cycles
 _NYQUIST_PART: Final = 0.8
 _BELOW, _ABOVE = 5.0, 10.0  # default band around the predicted crossover
 _SLOW_PART: Final = 0.4  # of the current limit: largest current at the default amplitude of a slow loop
 _FAST_PART: Final = 0.15  # of the current limit: default amplitude of a current loop
-_BASE_OVER: Final = 2.5  # holding current over amplitude: no phase current crosses zero, where dead time is nonlinear
+_BASE_RATIO: Final = 2.5  # of holding current to amplitude, so that no phase current crosses zero (dead time)
 _EXCURSION: Final = 0.7  # of the constant speed: largest speed amplitude, without reversal of the shaft
 _DEFAULT_EXCURSION: Final = 30.0  # the same without a constant speed [rad/s]
 _SPEED_PART: Final = {"speed": 0.15, "position": 0.1}  # of the speed limit: default speed
 _RESOLUTIONS: Final = 20.0  # of the M/T method; below this amplitude quantisation changes the gain by percents
-_LINE: Final = 0.5  # communication time on a serial line at begin and end of a motion [s]
+_LINE: Final = 0.5  # communication time on a serial line at the beginning and end of a motion [s]
 _TIME_MAX: Final = 30.0  # longest motion [s]
 
 
@@ -94,7 +94,7 @@ class Settings:
     speed: float  # constant speed during the measurement [rad/s]
     travel_max: float  # largest rotation of the shaft in each direction [rad]
     repeats: int  # recordings per band
-    speed_amplitude: float = 0.0  # predicted speed amplitude by the test signal [rad/s]
+    speed_amplitude: float = 0.0  # predicted speed amplitude caused by the test signal [rad/s]
     deceleration: float = math.inf  # of the shaft after the measurement [rad/s^2]
 
     @property
@@ -167,7 +167,7 @@ def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Ban
         every = min(longest, enough)
         step = every * loop_step
         lowest = _CYCLES_MIN / (SWEEP_PART * capacity * step)
-        bottom = lowest if lowest > _STRETCH * f_min else f_min
+        bottom = lowest if lowest > _EXTENSION_MAX * f_min else f_min
         bands.insert(0, Band(bottom, top, every, capacity, step))
         if bottom <= f_min:
             return tuple(bands)
@@ -259,10 +259,10 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
     fastest = abs(settings.speed) + settings.speed_amplitude
     if fastest > speed_limit:
         raise MeasurementError(
-            f"{fastest:.4g} rad/s with the test signal exceed the limit of {name}, "
+            f"the speed with the test signal, {fastest:.4g} rad/s, exceeds the limit of {name}, "
             f"{speed_limit:.4g} rad/s (param.speed_limit); use a lower speed"
         )
-    maximum = (0.5 if loop.slow else BASE_PART / _BASE_OVER) * current_limit
+    maximum = (0.5 if loop.slow else BASE_PART / _BASE_RATIO) * current_limit
     if loop.name != "position" and settings.amplitude > maximum:
         raise MeasurementError(
             f"an amplitude of {settings.amplitude:.4g} A is too large for the limit of {name}, {current_limit:.4g} A "
@@ -277,14 +277,14 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
     travel = settings.travel(bands)
     if travel > settings.travel_max:
         raise MeasurementError(
-            f"{name} would rotate by up to {travel:.3g} rad in each direction, allowed are "
+            f"{name} would rotate by up to {travel:.3g} rad in each direction, the permitted range is "
             f"{settings.travel_max:.3g} rad; use a lower speed, a smaller amplitude, a higher lowest "
             "frequency, or a wider range"
         )
 
 
 def _refuse_brake(access: BoardAccess, axis: int) -> None:
-    """Raise an error for an axis with a brake: mode TEST has no rotor search, so its current may not hold the load."""
+    """Refuse an axis with a brake: mode TEST has no rotor search, its current cannot be relied on to hold the load."""
     brake = access.catalogue.flag("inputs", "BRAKE_OPEN").mask
     if read_block(access, axis)["pins.fitted"] & brake:
         raise MeasurementError(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_msgs_py.catalogue import axis_name
-from servo_msgs_py.measurement.access import MeasurementError
+from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.measurement.bode import Bode
 from servo_msgs_py.measurement.frequency_response import Measured, Response
 
@@ -144,22 +144,11 @@ def _finite(row: list[float]) -> list[float | None]:
 
 
 def draw(bode: Bode, path: Path) -> None:
-    """Plot gain, phase and coherence over frequency, with the prediction and 95 % confidence.
+    """Plot gain, phase and coherence over frequency, with the prediction and 95 % confidence."""
+    figure = new_figure(8.0, 8.0)
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    Raises
-    ------
-    MeasurementError
-        If matplotlib is missing or does not support the format.
-    OSError
-        If the file cannot be written.
-    """
-    try:
-        from matplotlib.figure import Figure
-        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-    except ImportError:
-        raise MeasurementError("matplotlib is required for a picture: pip install matplotlib") from None
     table, good = rows(bode), bode.response.good
-    figure = Figure(figsize=(8.0, 8.0), dpi=100, layout="constrained")
     gain, phase, coherence = figure.subplots(3, 1, sharex=True, height_ratios=[3, 3, 1])
     for plot, column, deviation in ((gain, 1, 3), (phase, 2, 4)):
         f, value, sigma = (table[good, k] for k in (0, column, deviation))
@@ -185,8 +174,4 @@ def draw(bode: Bode, path: Path) -> None:
     coherence.xaxis.set_minor_formatter(NullFormatter())
     coherence.grid(alpha=0.3, which="both")
     gain.set_title("\n".join(line.strip() for line in list(_lines(bode))[:3]), fontsize="small", loc="left")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        figure.savefig(path)
-    except ValueError as error:
-        raise MeasurementError(f"{path}: {error}") from None
+    write_figure(figure, path)

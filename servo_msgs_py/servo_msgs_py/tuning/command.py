@@ -11,12 +11,13 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
+from servo_msgs_py.figure import PictureError
 from servo_msgs_py.tuning.braking import brake_constants
 from servo_msgs_py.tuning.configuration import Configuration
 from servo_msgs_py.tuning.constants import time_outs
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.passwords import password_constants
-from servo_msgs_py.tuning.picture import PictureError, draw
+from servo_msgs_py.tuning.picture import draw
 from servo_msgs_py.tuning.reading import load
 from servo_msgs_py.tuning.report import as_dict, axis_reports, text
 from servo_msgs_py.tuning.source import c_source

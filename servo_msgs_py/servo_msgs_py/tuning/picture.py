@@ -1,4 +1,4 @@
-"""Plot of the report; requires matplotlib."""
+"""Plot of the report."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.tuning.assessment import INERTIAS
 from servo_msgs_py.tuning.linear import Omega
 from servo_msgs_py.tuning.loops import In, Out
@@ -18,26 +19,10 @@ from servo_msgs_py.tuning.sensorless_figures import WINDINGS
 from servo_msgs_py.tuning.tuned import Tuned
 
 
-class PictureError(RuntimeError):
-    """The plot failed; the message has the reason."""
-
-
 def draw(reports: Sequence[AxisReport], path: Path) -> None:
-    """Plot one column per axis: open loops, closed loops, speed step, load step, observer poles, start-up.
-
-    Raises
-    ------
-    PictureError
-        If matplotlib is missing or does not support the format.
-    OSError
-        If the file cannot be written.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise PictureError("--plot needs matplotlib: pip install matplotlib, or omit --plot") from None
+    """Plot one column per axis: open loops, closed loops, speed step, load step, observer poles, start-up."""
     panels = (_open_gain, _open_phase, _closed_gain, _speed_step, _load_step, _observer_poles, _start_up)
-    figure = Figure(figsize=(7.0 * len(reports), 3.2 * len(panels)), dpi=100, layout="constrained")
+    figure = new_figure(7.0 * len(reports), 3.2 * len(panels))
     plots = figure.subplots(len(panels), len(reports), squeeze=False)
     for column, report in enumerate(reports):
         for row, panel in enumerate(panels):
@@ -46,11 +31,7 @@ def draw(reports: Sequence[AxisReport], path: Path) -> None:
             plot.set_title(f"{report.figures.name}: {plot.get_title()}", fontsize="medium")
             plot.grid(alpha=0.3)
             plot.legend(fontsize="x-small")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        figure.savefig(path)
-    except ValueError as error:
-        raise PictureError(f"{path}: {error}") from None
+    write_figure(figure, path)
 
 
 Response = Callable[[Omega], NDArray[np.complex128]]

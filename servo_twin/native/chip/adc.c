@@ -61,8 +61,8 @@ static bool powered(const adc_t *adc, unsigned c)
 NOINLINE static void settle(adc_t *adc)
 {
     unsigned done = 0;
-    for (unsigned left = adc->waits; left != 0; left &= left - 1u) {
-        const unsigned n = lowest_bit(left);
+    for (unsigned remaining = adc->waits; remaining != 0; remaining &= remaining - 1u) {
+        const unsigned n = lowest_bit(remaining);
         if (adc->ready[n] <= adc->bus->now) {
             adc->reg[RSLT0 + n] = adc->waiting[n];
             done |= 1u << n;
@@ -85,8 +85,8 @@ NOINLINE static void request(adc_t *adc)
 NOINLINE static uint64_t next_halt(const adc_t *adc)
 {
     uint64_t next = CHIP_NEVER;
-    for (unsigned left = adc->waits & adc->reg[SCHLTEN]; left != 0; left &= left - 1u) {
-        const uint64_t ready = adc->ready[lowest_bit(left)];
+    for (unsigned remaining = adc->waits & adc->reg[SCHLTEN]; remaining != 0; remaining &= remaining - 1u) {
+        const uint64_t ready = adc->ready[lowest_bit(remaining)];
         next = (ready < next) ? ready : next;
     }
     return next;
@@ -200,8 +200,8 @@ void adc_event(void *peripheral, unsigned source)
         const uint64_t ready = converter->ready_clock;
         const unsigned pair = converter->pair++;
         const unsigned samples = samples_of(adc, c, pair) & ((c == A) ? 0xFFFFu : 0xFF00u);
-        for (unsigned left = samples; left != 0; left &= left - 1u) {
-            take_sample(adc, lowest_bit(left), ready);
+        for (unsigned remaining = samples; remaining != 0; remaining &= remaining - 1u) {
+            take_sample(adc, lowest_bit(remaining), ready);
         }
         const unsigned next = converter->pair;
         const bool last = next == ADC_PAIRS || disabled(adc, c, next);

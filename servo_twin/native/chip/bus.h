@@ -185,8 +185,8 @@ static inline void bus_sync_plant(bus_t *bus)
 
 static inline void bus_note(bus_t *bus, trace_kind_t kind, uint32_t a, uint32_t b)
 {
-    if (bus->trace.left > 0u) {
-        bus->trace.left--;
+    if (bus->trace.remaining > 0u) {
+        bus->trace.remaining--;
         bus->trace.entry[bus->trace.size++] = (trace_entry_t){bus->now, (uint16_t)kind, (uint16_t)a, b};
     }
 }

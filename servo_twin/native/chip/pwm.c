@@ -340,8 +340,8 @@ static void matches(pwm_t *pwm, pwm_submodule_t *s, uint32_t d, unsigned hit)
     }
     const unsigned noted = hit & (s->tctrl | s->inten) & 0x3Fu;
     if (noted != 0) {
-        for (unsigned left = noted; left != 0; left &= left - 1u) {
-            bus_note(pwm->bus, TRACE_MATCH, s->id, lowest_bit(left));
+        for (unsigned remaining = noted; remaining != 0; remaining &= remaining - 1u) {
+            bus_note(pwm->bus, TRACE_MATCH, s->id, lowest_bit(remaining));
         }
         if ((noted & s->inten) != 0) {
             pwm_request(pwm, s);

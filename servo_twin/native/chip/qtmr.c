@@ -39,7 +39,8 @@ enum { OUT_ACTIVE, OUT_CLEAR, OUT_SET, OUT_TOGGLE, OUT_ALTERNATE, OUT_SET_SECOND
 
 /* Each channel of a mask, which is read once. */
 #define FOR_EACH(n, mask)                                                                                              \
-    for (unsigned left = (mask), n = 0; left != 0 && (n = lowest_bit(left), true); left &= left - 1u)
+    for (unsigned remaining = (mask), n = 0; remaining != 0 && (n = lowest_bit(remaining), true);                      \
+         remaining &= remaining - 1u)
 
 static bool enabled(const qtmr_module_t *timer, unsigned n) { return ((timer->enable >> n) & 1u) != 0; }
 
@@ -53,9 +54,9 @@ static void request(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     const qtmr_channel_t *c = &timer->channel[n];
     const unsigned flags = c->reg[SCTRL] & (SCTRL_FLAGS);
-    const unsigned wanted = ((unsigned)c->reg[SCTRL] << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
+    const unsigned enabled = ((unsigned)c->reg[SCTRL] << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
     const bool compare = (((unsigned)c->reg[CSCTRL] << 2) & c->reg[CSCTRL] & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
-    bus_request(qtmr->bus, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
+    bus_request(qtmr->bus, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & enabled) != 0 || compare);
 }
 
 /* ---- counting -------------------------------------------------------------------------------------------------------- */

@@ -31,7 +31,7 @@ typedef struct { /* without padding: the same run gives the same bytes */
 typedef struct {
     trace_entry_t *entry;
     size_t size; /* entries */
-    size_t left; /* free entries; nothing is written without one */
+    size_t remaining; /* free entries; nothing is written without one */
 } trace_t;
 
 #endif

@@ -136,8 +136,8 @@ static void change_aoi(xbar_t *xbar, unsigned before, unsigned after, bool pulse
     if (!pulse) {
         xbar->aoi_in = after;
     }
-    for (unsigned event = 0, left = before ^ after; left != 0; event++, left >>= 4u) {
-        if ((left & 0xFu) == 0) {
+    for (unsigned event = 0, remaining = before ^ after; remaining != 0; event++, remaining >>= 4u) {
+        if ((remaining & 0xFu) == 0) {
             continue;
         }
         const bool from = evaluate(xbar, event, before);

@@ -195,8 +195,8 @@ static bool all_zero(const plant_motor_t *motor) { return motor->i_d == 0.0 && m
 
 /* Open switches without current: true if none begins, since a star point potential exists at which every terminal is within
  * its limits. Sets *star to it [V]. */
-static bool blocked(const averaged_inverter_t *inverter, const plant_motor_t *motor, const double emf[3], double u_dc,
-                    const terminals_t *t, double *star)
+static bool non_conducting(const averaged_inverter_t *inverter, const plant_motor_t *motor, const double emf[3],
+                           double u_dc, const terminals_t *t, double *star)
 {
     double star_min = -INFINITY;
     double star_max = INFINITY;
@@ -255,7 +255,7 @@ static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, 
     terminals_t t;
     terminals_of(inverter, u_dc, &t);
     plant_motor_back_emf(motor, emf);
-    if (blocked(inverter, motor, emf, u_dc, &t, &star)) {
+    if (non_conducting(inverter, motor, emf, u_dc, &t, &star)) {
         for (int k = 0; k < 3; k++) {
             v[k] = star + emf[k];
             inverter->share[k] = 0.0;

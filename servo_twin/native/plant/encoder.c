@@ -39,12 +39,12 @@ void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config)
 static double time_to(const plant_movement_t *m, double theta)
 {
     const double seconds = m->duration_ns * 1e-9;
-    const double way = theta - m->theta_0;
+    const double distance = theta - m->theta_0;
     const double slope = (m->omega_1 - m->omega_0) / seconds;
-    const double square = m->omega_0 * m->omega_0 + 2.0 * slope * way;
+    const double square = m->omega_0 * m->omega_0 + 2.0 * slope * distance;
     const double root = (square > 0.0) ? sqrt(square) : 0.0;
-    const double sum = m->omega_0 + ((way < 0.0) ? -root : root);
-    const double t = (sum != 0.0) ? 2.0 * way / sum * 1e9 : m->duration_ns;
+    const double sum = m->omega_0 + ((distance < 0.0) ? -root : root);
+    const double t = (sum != 0.0) ? 2.0 * distance / sum * 1e9 : m->duration_ns;
     return (t < 0.0) ? 0.0 : (t > m->duration_ns) ? m->duration_ns : t;
 }
 

@@ -92,20 +92,20 @@ static single_vector_t to_rotor(const plant_motor_t *m, plant_vector_t u)
 /* State of a motor with saturated iron, or its derivatives: flux of the currents [V s], speed [rad/s], rotation since the
  * beginning of the step [rad]. */
 typedef struct {
-    double flux_d, flux_q, omega, way;
+    double flux_d, flux_q, omega, rotation;
 } saturated_state_t;
 
 static saturated_state_t saturated_sum(saturated_state_t x, double h, saturated_state_t rate)
 {
     return (saturated_state_t){x.flux_d + h * rate.flux_d, x.flux_q + h * rate.flux_q, x.omega + h * rate.omega,
-                               x.way + h * rate.way};
+                               x.rotation + h * rate.rotation};
 }
 
 /* Derivatives at the voltage u in the rotor reference frame at the beginning. */
 static saturated_state_t saturated_rate(const plant_motor_t *m, single_vector_t u, double direction,
                                         saturated_state_t x)
 {
-    const single_vector_t v = single_rotate_back(u, single_small_angle(m->pole_pairs * x.way));
+    const single_vector_t v = single_rotate_back(u, single_small_angle(m->pole_pairs * x.rotation));
     const double i_d = saturation_current(m->iron_d, x.flux_d);
     const double i_q = saturation_current(m->iron_q, x.flux_q);
     const double w = m->pole_pairs * x.omega;
@@ -129,11 +129,11 @@ static PLANT_COLD void step_saturated(plant_motor_t *m, plant_vector_t u, double
     const saturated_state_t middle = saturated_sum(k2, 1.0, k3);
     const saturated_state_t mean = saturated_sum(saturated_sum(k1, 1.0, k4), 2.0, middle);
     const saturated_state_t end = saturated_sum(x, h * (1.0 / 6.0), mean);
-    const single_vector_t e = single_small_angle(m->pole_pairs * end.way);
+    const single_vector_t e = single_small_angle(m->pole_pairs * end.rotation);
     const double cosine = m->cosine;
     m->cosine = cosine * e.alpha - m->sine * e.beta;
     m->sine = m->sine * e.alpha + cosine * e.beta;
-    m->theta += end.way;
+    m->theta += end.rotation;
     m->omega = end.omega;
     m->i_d = saturation_current(m->iron_d, end.flux_d);
     m->i_q = saturation_current(m->iron_q, end.flux_q);

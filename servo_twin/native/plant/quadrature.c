@@ -133,19 +133,19 @@ quadrature_trajectory_t quadrature_trajectory(quadrature_t *q, double theta, dou
     return trajectory;
 }
 
-/* Root of way = omega t + accel t^2 / 2 in the form without cancellation; NEVER if the shaft reverses before. */
-double quadrature_general_time(const quadrature_trajectory_t *trajectory, double way)
+/* Root of distance = omega t + accel t^2 / 2 in the form without cancellation; NEVER if the shaft reverses before. */
+double quadrature_general_time(const quadrature_trajectory_t *trajectory, double distance)
 {
     const double omega = trajectory->omega;
     const double drive = (omega != 0.0) ? omega : trajectory->accel;
-    if (way * drive <= 0.0) { /* an edge whose jitter put it behind the shaft, if the shaft moves */
+    if (distance * drive <= 0.0) { /* an edge whose jitter put it behind the shaft, if the shaft moves */
         return (drive != 0.0) ? 0.0 : NEVER;
     }
-    const double square = omega * omega + 2.0 * trajectory->accel * way;
+    const double square = omega * omega + 2.0 * trajectory->accel * distance;
     if (square < 0.0) {
         return NEVER;
     }
-    const double sum = omega + ((way < 0.0) ? -sqrt(square) : sqrt(square));
-    const double t = (sum != 0.0) ? 2.0 * way / sum : NEVER;
+    const double sum = omega + ((distance < 0.0) ? -sqrt(square) : sqrt(square));
+    const double t = (sum != 0.0) ? 2.0 * distance / sum : NEVER;
     return (t >= 0.0) ? t : NEVER;
 }

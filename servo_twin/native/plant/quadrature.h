@@ -75,22 +75,22 @@ typedef struct {
 quadrature_trajectory_t quadrature_trajectory(quadrature_t *encoder, double theta, double omega, double accel,
                                               double jerk, double time);
 
-/* General version of quadrature_time for the motion by `way` [rad]. */
-double quadrature_general_time(const quadrature_trajectory_t *trajectory, double way);
+/* General version of quadrature_time for the motion by `distance` [rad]. */
+double quadrature_general_time(const quadrature_trajectory_t *trajectory, double distance);
 
 /* Time at which the shaft reaches the next edge [s]; may be in the past; very large if it never does on this trajectory. */
 static inline double quadrature_time(const quadrature_t *encoder, const quadrature_trajectory_t *trajectory)
 {
     /* nearly constant speed: t = tau (1 - a tau / 2 + a^2 tau^2 / 2 - ...) - j tau^3 / (6 omega) */
-    const double way = quadrature_target(encoder) - trajectory->theta;
-    const double tau = way * trajectory->per_omega;
+    const double distance = quadrature_target(encoder) - trajectory->theta;
+    const double tau = distance * trajectory->per_omega;
     const double x = trajectory->accel_ratio * tau;
     const double y =
         trajectory->jerk_ratio * tau * tau; /* jerk due to ripple does not last as long as the motion of a slow shaft */
     if (x < 0.01 && x > -0.01 && y < 0.01 && y > -0.01 && trajectory->per_omega != 0.0) {
         return tau * (1.0 - x * (0.5 - x * (0.5 - 0.625 * x)) - y);
     }
-    return quadrature_general_time(trajectory, way);
+    return quadrature_general_time(trajectory, distance);
 }
 
 #endif

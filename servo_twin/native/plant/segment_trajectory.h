@@ -84,11 +84,11 @@ PLANT_INLINE unsigned chord_roots(lanes_t f0, lanes_t f1, lanes_t d0, double h, 
 {
     const lanes_t per_fall = all(1.0) / (f0 - f1);
     const lanes_t part = f0 * per_fall;
-    const lanes_t left = -f1 * per_fall;
+    const lanes_t complement = -f1 * per_fall;
     const lanes_t curvature = (all(-h) * d0) * per_fall - all(1.0);
     const lanes_t skew = all(1.0) + curvature * ((f0 + f1) * per_fall);
-    *root = all(h) * part - (all(h) * left) * ((curvature * part) * skew);
-    return legs_where((part > 0.0) & (left > 0.0) & (curvature < CURVATURE_MAX) & (curvature > -CURVATURE_MAX));
+    *root = all(h) * part - (all(h) * complement) * ((curvature * part) * skew);
+    return legs_where((part > 0.0) & (complement > 0.0) & (curvature < CURVATURE_MAX) & (curvature > -CURVATURE_MAX));
 }
 
 /* Exact roots for the phases in `legs`; the others are kept. */
@@ -99,8 +99,8 @@ static PLANT_COLD void exact_roots(const double f0[INVERTER_LANES], const double
     for (int k = 0; k < 3; k++) {
         if ((legs & INVERTER_LEG(k)) != 0u) {
             const int lane = INVERTER_LANE(k);
-            const double way = (f1[lane] < 0.0) ? 1.0 : -1.0;
-            root[lane] = root_of(f0[lane] * way, d0[lane] * way, f1[lane] * way, h);
+            const double sign = (f1[lane] < 0.0) ? 1.0 : -1.0;
+            root[lane] = root_of(f0[lane] * sign, d0[lane] * sign, f1[lane] * sign, h);
         }
     }
 }

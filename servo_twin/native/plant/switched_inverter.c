@@ -159,12 +159,12 @@ bool switched_inverter_amplifiers(const switched_inverter_t *inv, double h, doub
     if (h > LINEAR_MAX) {
         return false;
     }
-    const double left = amplifier_decay(inv, h);
+    const double decay = amplifier_decay(inv, h);
     for (int k = 0; k < 3; k++) {
         const double share = shunt_share(inv, k);
         const double slope = dot(inv->di, phase_axis[k]);
         const double begin = share * (inv->phase[k] - inv->tau * slope);
-        shown[INVERTER_LANE(k)] = begin + share * h * slope + (inv->amplifier[INVERTER_LANE(k)] - begin) * left;
+        shown[INVERTER_LANE(k)] = begin + share * h * slope + (inv->amplifier[INVERTER_LANE(k)] - begin) * decay;
     }
     return true;
 }
@@ -193,7 +193,7 @@ terminal_integral_t switched_inverter_integral(const switched_inverter_t *inv)
 /* ---- gate edges without effect ---------------------------------------------------------------------------------------- */
 
 /* Without current: true if none begins with other gates; `opens`: they open a leg. */
-static bool stays_blocked(switched_inverter_t *inv, bool opens, unsigned gates)
+static bool stays_non_conducting(switched_inverter_t *inv, bool opens, unsigned gates)
 {
     if (opens && inv->direction == 0.0) {
         return true; /* its voltage interval grows, and there is no back-EMF */
@@ -202,10 +202,10 @@ static bool stays_blocked(switched_inverter_t *inv, bool opens, unsigned gates)
     int source = 0;
     int sink = 0;
     inv->gates = gates;
-    const bool blocked =
+    const bool non_conducting =
         inv->unplugged || inverter_blocking_excess(inv, inv->u, inv->psi, inv->omega, &source, &sink) <= 0.0;
     inv->gates = before;
-    return blocked;
+    return non_conducting;
 }
 
 /* A floating leg loses its last gate: its voltage interval grows, so it stays floating if it has not left the old interval
@@ -235,8 +235,8 @@ bool switched_inverter_edge_has_no_effect(switched_inverter_t *inv, int k, unsig
     if (!inv->segment_valid || inv->shorted) {
         return false;
     }
-    if (inv->blocked) {
-        return stays_blocked(inv, opens, gates);
+    if (inv->non_conducting) {
+        return stays_non_conducting(inv, opens, gates);
     }
     if (inv->saturates) {
         return false; /* the curvature of its currents has no bound here */

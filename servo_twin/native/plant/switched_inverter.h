@@ -25,8 +25,9 @@
  * agree with an independent integration within 1.1e-5 A (the converter's step is 4e-3 A), and within 2e-4 A with random gate
  * patterns and shafts at up to 700 rad/s.
  *
- * Linear intervals (switched_inverter_interval.c) cost less than a third of that. They apply while the shaft keeps moving or
- * stands, no phase is shorted and the iron does not saturate. Whole runs then agree within 1e-4 A, and 1e-3 A with random gates.
+ * Linear intervals (switched_inverter_interval.c) take less than a third of the computing time of this general integration. They
+ * apply while the shaft does not change between motion and rest, no phase is shorted and the iron does not saturate. Whole runs
+ * then agree within 1e-4 A, and 1e-3 A with random gates.
  *
  * With saturated iron i is a function of the flux in the rotor reference frame (saturation.h) and L^-1 is the differential
  * one. There are no linear intervals then.
@@ -63,7 +64,7 @@ typedef enum {
 #define INVERTER_LANES 4
 #define INVERTER_LANE(phase) ((phase) + ((phase) > 0))
 
-/* Sets of legs have the bits of the lanes; 14 numbers hold them all. */
+/* A set of legs is a bit mask of lanes, 0 .. 13; tables have an entry for each value. */
 #define INVERTER_LEG(phase) (1u << INVERTER_LANE(phase))
 #define INVERTER_LEGS 13u
 #define INVERTER_LEG_SETS (INVERTER_LEGS + 1u)
@@ -121,7 +122,7 @@ typedef struct {
     /* present segment, valid while `segment_valid`; drop_vector, leg_mean and dtorque only outside of a linear interval */
     bool segment_valid;
     bool held_at_stop; /* the shaft has just stopped and rests until the end of the segment */
-    bool blocked; /* no current flows, and none will begin */
+    bool non_conducting; /* no current flows, and none will begin */
     bool in_interval; /* a linear interval is in progress */
     int floating; /* the only leg without current, -1: none */
     plant_vector_t switch_vector; /* a of v = u a + b: legs at the positive rail, Clarke transform */
@@ -146,14 +147,14 @@ typedef struct {
     unsigned gates; /* set of upper gates that are on | lower gates << INVERTER_LOWER */
     double load; /* torque against positive motion [N m] */
     bool locked, unplugged;
-    bool saturates; /* the iron does; inv_l_.. are then differential, at the beginning of a step */
+    bool saturates; /* the iron saturates; inv_l_* are then differential, at the beginning of a step */
     double stop_min, stop_max; /* inelastic end stops, mechanical [rad] */
     double beyond_rail[3]; /* how far a leg's interval exceeds the rails; very large: open phase [V] */
     int requested_grounded, requested_unshorted; /* `grounded` and `unshorted` as requested, whatever phase is open */
     int grounded; /* leg shorted to bus minus, -1: none */
     int unshorted; /* the other two legs are shorted to each other, -1: no such short */
     bool shorted; /* one of the two shorts exists */
-    unsigned joined; /* the two legs shorted to each other; their single currents decide nothing */
+    unsigned joined; /* the two legs shorted to each other; only the sum of their currents matters */
     unsigned separate; /* legs without a short */
     /* parameters */
     double v_drop; /* forward drop [V] */
@@ -190,8 +191,8 @@ void switched_inverter_init(switched_inverter_t *inverter, const plant_axis_t *c
 /* New parameters, with the winding's resistance `r_s` [ohm]. The currents are kept, the flux changes. Friction is not set. */
 void switched_inverter_change(switched_inverter_t *inverter, const plant_axis_t *config, double r_s);
 
-/* End a linear interval, so that flux, angle and speed are those of the present instant; currents and sums always are. Call
- * it before anything but the gates is changed or read. */
+/* End a linear interval, so that flux, angle, speed, losses and charge are those of the present instant; the currents always
+ * are. Call it before an input except the gates is changed, or one of these values is read. */
 void switched_inverter_sync(switched_inverter_t *inverter);
 
 /* Begin a segment with the present gates and currents at the bus voltage `u_dc` [V]. */

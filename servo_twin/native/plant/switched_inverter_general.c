@@ -19,13 +19,13 @@ static plant_vector_t current_slope(const switched_inverter_t *inv, plant_vector
 }
 
 /* A torque that will exceed the friction within INSTANT counts as doing so. */
-static bool starts(const switched_inverter_t *inv, double way)
+static bool starts(const switched_inverter_t *inv, double direction)
 {
-    const double excess = (inv->torque - inv->load) * way - inv->friction;
-    const double grows = inv->dtorque * way;
+    const double excess = (inv->torque - inv->load) * direction - inv->friction;
+    const double grows = inv->dtorque * direction;
     const bool exceeds =
         excess > 0.0 || (grows > 0.0 && excess > -FRICTION_MARGIN * inv->friction - 2.0 * INSTANT * grows);
-    return exceeds && direction_is_free(inv, way);
+    return exceeds && direction_is_free(inv, direction);
 }
 
 /* Direction of motion from standstill. */
@@ -34,17 +34,17 @@ static double direction_from_standstill(const switched_inverter_t *inv)
     if (inv->locked || inv->held_at_stop) {
         return 0.0;
     }
-    const double way = (inv->torque > inv->load) ? 1.0 : -1.0;
-    if (starts(inv, way)) {
-        return way;
+    const double direction = (inv->torque > inv->load) ? 1.0 : -1.0;
+    if (starts(inv, direction)) {
+        return direction;
     }
-    return starts(inv, -way) ? -way : 0.0; /* without friction, away from an end stop */
+    return starts(inv, -direction) ? -direction : 0.0; /* without friction, away from an end stop */
 }
 
 void inverter_general_begin(switched_inverter_t *inv, double u)
 {
     inv->floating = -1;
-    inv->blocked = false;
+    inv->non_conducting = false;
     inv->segment_valid = inv->trajectory_changed = true;
     inv->u = u;
     update_curvature_bounds(inv);
@@ -53,7 +53,7 @@ void inverter_general_begin(switched_inverter_t *inv, double u)
         k = inverter_find_conducting_pair(inv, u);
     }
     update_conduction(inv);
-    if (inv->blocked) {
+    if (inv->non_conducting) {
         inv->switch_vector = inv->drop_vector = inv->di = (plant_vector_t){0.0, 0.0};
         inv->dtorque = 0.0;
     } else {
@@ -100,21 +100,21 @@ void inverter_general_begin(switched_inverter_t *inv, double u)
 /* ---- advance ---------------------------------------------------------------------------------------------------------- */
 
 /* First-order lag behind a straight line, exact. */
-static double lag_behind(double y, double from, double to, double tau_h, double left)
+static double lag_behind(double y, double from, double to, double tau_h, double decay)
 {
     const double lag = tau_h * (to - from);
-    return to - lag + (y - from + lag) * left;
+    return to - lag + (y - from + lag) * decay;
 }
 
 /* Outputs of the amplifiers after h seconds, behind currents that change linearly to `phase`. */
 static void filter_currents(switched_inverter_t *inv, double h, const double phase[3])
 {
-    const double left = amplifier_decay(inv, h);
+    const double decay = amplifier_decay(inv, h);
     const double tau_h = inv->tau / h;
     for (int k = 0; k < 3; k++) {
         const double share = shunt_share(inv, k);
         double *shown = &inv->amplifier[INVERTER_LANE(k)];
-        *shown = lag_behind(*shown, share * inv->phase[k], share * phase[k], tau_h, left);
+        *shown = lag_behind(*shown, share * inv->phase[k], share * phase[k], tau_h, decay);
     }
 }
 

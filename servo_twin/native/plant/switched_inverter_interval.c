@@ -112,9 +112,9 @@ static inline bool shaft_keeps_moving(const switched_inverter_t *inv)
     const double i_max = fabs(inv->i.alpha) + fabs(inv->i.beta) + time * inv->u * inv->inv_l_max;
     const double torque =
         inv->k_torque * (inv->psi_m + fabs(inv->l_d - inv->l_q) * i_max) * i_max + fabs(inv->load) + inv->friction;
-    const double way = 2.0 * time * fabs(inv->omega);
-    return fabs(inv->omega) > 2.0 * time * torque * inv->inv_inertia && inv->theta - way > inv->stop_min &&
-           inv->theta + way < inv->stop_max;
+    const double distance = 2.0 * time * fabs(inv->omega);
+    return fabs(inv->omega) > 2.0 * time * torque * inv->inv_inertia && inv->theta - distance > inv->stop_min &&
+           inv->theta + distance < inv->stop_max;
 }
 
 /* True if friction holds the shaft at standstill against this torque. */
@@ -244,20 +244,20 @@ PLANT_INLINE void begin_segment(switched_inverter_t *inv, segment_t *s, double u
 {
     const linear_interval_t *f = &inv->interval;
     int k = leg_at_zero(inv);
-    inv->blocked = false;
+    inv->non_conducting = false;
     inv->floating = -1;
     inv->u = u;
     inv->segment_valid = true;
     if (k == ALL_LEGS_ZERO) {
         inv->psi = magnet_flux(inv);
         k = inverter_find_conducting_pair(inv, u);
-        if (!inv->blocked) {
+        if (!inv->non_conducting) {
             compensate_earlier_charge(inv);
         }
     }
     find_conduction(inv);
     s->v = all(u) * load_lanes(legs_at[inv->conduction.upper]) + load_lanes(inv->drops[inv->conduction.reversed]);
-    if (inv->blocked) {
+    if (inv->non_conducting) {
         s->v *= (lanes_t){0.0, 0.0, 1.0, 0.0};
         s->di = s->ddi = all(0.0);
         return;
@@ -398,7 +398,7 @@ PLANT_INLINE void store_currents(switched_inverter_t *inv, lanes_t i)
 }
 
 /* At standstill without current an interval may last any time. */
-static inline bool is_at_rest(const switched_inverter_t *inv) { return inv->blocked && inv->direction == 0.0; }
+static inline bool is_at_rest(const switched_inverter_t *inv) { return inv->non_conducting && inv->direction == 0.0; }
 
 PLANT_AVX2_CLONES PLANT_NOINLINE double inverter_interval_advance(switched_inverter_t *inv, double *rest, double u)
 {

@@ -30,9 +30,10 @@ int inverter_find_conducting_pair(switched_inverter_t *inv, double u)
     int source = 0;
     int sink = 0;
     inv->positive = inv->negative = 0u;
-    inv->blocked = inv->unplugged || inverter_blocking_excess(inv, u, inv->psi, inv->omega, &source, &sink) <= 0.0 ||
-                   source == sink;
-    if (inv->blocked) {
+    inv->non_conducting = inv->unplugged ||
+                          inverter_blocking_excess(inv, u, inv->psi, inv->omega, &source, &sink) <= 0.0 ||
+                          source == sink;
+    if (inv->non_conducting) {
         return -1;
     }
     set_sign(inv, source, 1);

@@ -114,21 +114,21 @@ void inverter_count_rotation(switched_inverter_t *inv);
 /* Motion of the shaft in h seconds at the present acceleration and jerk. */
 PLANT_INLINE void rotate(const switched_inverter_t *inv, double h, step_end_t *e)
 {
-    const double way = h * (inv->omega + h * (0.5 * inv->accel + (SIXTH * h) * inv->jerk));
-    const double x = inv->pole_pairs * way;
+    const double rotation = h * (inv->omega + h * (0.5 * inv->accel + (SIXTH * h) * inv->jerk));
+    const double x = inv->pole_pairs * rotation;
     const double x2 = x * x;
     const double c = 1.0 - x2 * (0.5 - x2 * ((1.0 / 24.0) - x2 * (1.0 / 720.0)));
     const double s = x * (1.0 - x2 * (SIXTH - x2 * (1.0 / 120.0)));
-    e->theta = inv->theta + way;
+    e->theta = inv->theta + rotation;
     e->cosine = inv->cosine * c - inv->sine * s;
     e->sine = inv->sine * c + inv->cosine * s;
     e->inverse = inverse_of(inv, e->cosine, e->sine);
 }
 
-/* False if an end stop blocks a resting shaft in the direction of `way`. */
-static inline bool direction_is_free(const switched_inverter_t *inv, double way)
+/* False if an end stop blocks a resting shaft in `direction`. */
+static inline bool direction_is_free(const switched_inverter_t *inv, double direction)
 {
-    return (way > 0.0) ? inv->theta < inv->stop_max : inv->theta > inv->stop_min;
+    return (direction > 0.0) ? inv->theta < inv->stop_max : inv->theta > inv->stop_min;
 }
 
 /* ---- roots ------------------------------------------------------------------------------------------------------------ */

@@ -70,7 +70,7 @@ PLANT_INLINE double step_floating(const switched_inverter_t *inv, double h, plan
 }
 
 /* Without any current. */
-static void step_blocked(const switched_inverter_t *inv, double h, step_end_t *e)
+static void step_non_conducting(const switched_inverter_t *inv, double h, step_end_t *e)
 {
     rotate(inv, h, e);
     e->omega = inv->omega + h * (inv->accel + 0.5 * h * inv->jerk);
@@ -85,8 +85,8 @@ void inverter_general_step(const switched_inverter_t *inv, double h, double u, s
 {
     const plant_vector_t drive = {h * (u * inv->switch_vector.alpha + inv->drop_vector.alpha),
                                   h * (u * inv->switch_vector.beta + inv->drop_vector.beta)};
-    if (inv->blocked) {
-        step_blocked(inv, h, e);
+    if (inv->non_conducting) {
+        step_non_conducting(inv, h, e);
     } else if (inv->floating >= 0) { /* nearly linear in time: the end differs by twice the mean's difference */
         *floating_volts = inv->floating_volts + 2.0 * step_floating(inv, h, drive, e);
     } else {
@@ -196,13 +196,13 @@ static double approach_zero(const switched_inverter_t *inv, double h, double u, 
 {
     /* shift_end does not cover the voltage of a floating leg */
     const double close = (inv->floating >= 0) ? INSTANT : SHIFT_MAX;
-    double left = time_to_zero(inv, e, *t, expected);
-    for (int n = 0; n < 3 && fabs(left) > close && *t + left < h && *t + left > 0.0; n++) {
-        *t += left;
+    double remaining = time_to_zero(inv, e, *t, expected);
+    for (int n = 0; n < 3 && fabs(remaining) > close && *t + remaining < h && *t + remaining > 0.0; n++) {
+        *t += remaining;
         inverter_general_step(inv, *t, u, e, floating_volts);
-        left = time_to_zero(inv, e, *t, expected);
+        remaining = time_to_zero(inv, e, *t, expected);
     }
-    return left;
+    return remaining;
 }
 
 /* When the shaft stops, starts or reaches an end stop. */
@@ -215,13 +215,14 @@ static void find_motion_change(const switched_inverter_t *inv, double h, const s
         limit_step(limit, root_of(inv->theta - inv->stop_min, inv->omega, e->theta - inv->stop_min, h), STEP_END_STOP,
                    0, -1);
     } else if (e->omega * inv->direction < 0.0) {
-        const double way = inv->direction;
-        limit_step(limit, root_of(inv->omega * way, inv->accel * way, e->omega * way, h), STEP_SHAFT_STOPPED, 0, 0);
+        const double direction = inv->direction;
+        limit_step(limit, root_of(inv->omega * direction, inv->accel * direction, e->omega * direction, h),
+                   STEP_SHAFT_STOPPED, 0, 0);
     } else if (!inv->held_at_stop) {
-        const double way = (e->torque > inv->load) ? 1.0 : -1.0;
-        const double after = inv->friction - (e->torque - inv->load) * way;
-        const double before = inv->friction - (inv->torque - inv->load) * way;
-        limit_step(limit, root_of(before, -inv->dtorque * way, after, h), STEP_SHAFT_STARTED, 0, 0);
+        const double direction = (e->torque > inv->load) ? 1.0 : -1.0;
+        const double after = inv->friction - (e->torque - inv->load) * direction;
+        const double before = inv->friction - (inv->torque - inv->load) * direction;
+        limit_step(limit, root_of(before, -inv->dtorque * direction, after, h), STEP_SHAFT_STARTED, 0, 0);
     }
 }
 
@@ -261,28 +262,29 @@ step_limit_t inverter_general_step_to_event(const switched_inverter_t *inv, doub
 {
     double floating_volts = 0.0;
     int expected = -1;
-    double t = inv->blocked ? h : first_zero_by_slope(inv, h, &expected);
+    double t = inv->non_conducting ? h : first_zero_by_slope(inv, h, &expected);
     if (t < INSTANT && t < h) { /* a current at zero with a slope against its sign */
         *e = (step_end_t){.psi = inv->psi};
         return (step_limit_t){0.0, STEP_CURRENT_ZERO, expected, 0};
     }
     step_limit_t limit = {t, STEP_COMPLETE, 0, 0};
     inverter_general_step(inv, t, u, e, &floating_volts);
-    if (inv->blocked) {
+    if (inv->non_conducting) {
         find_conduction(inv, t, u, e, &limit);
     } else if (t < h || current_crossed_zero(inv, e)) {
-        double left = approach_zero(inv, h, u, &t, &expected, e, &floating_volts);
-        if (t + left >= h) { /* by its curvature this current stays off zero; another one may not */
+        double remaining = approach_zero(inv, h, u, &t, &expected, e, &floating_volts);
+        if (t + remaining >= h) { /* by its curvature this current stays off zero; another one may not */
             t = limit.duration = h;
             expected = -1;
             inverter_general_step(inv, t, u, e, &floating_volts);
-            left = current_crossed_zero(inv, e) ? approach_zero(inv, h, u, &t, &expected, e, &floating_volts) : NEVER;
+            remaining =
+                current_crossed_zero(inv, e) ? approach_zero(inv, h, u, &t, &expected, e, &floating_volts) : NEVER;
         }
-        if (t + left < h) {
-            left = (t + left > 0.0) ? left : 0.0;
+        if (t + remaining < h) {
+            remaining = (t + remaining > 0.0) ? remaining : 0.0;
             if (inv->floating < 0) {
-                shift_end(inv, t, left, e);
-                t += left;
+                shift_end(inv, t, remaining, e);
+                t += remaining;
             }
             limit = (step_limit_t){t, STEP_CURRENT_ZERO, expected, 0};
         }

@@ -17,8 +17,8 @@ static inline void find_edge(switching_axis_t *axis, uint64_t last)
         return; /* beyond an end stop */
     }
     /* An edge whose jitter put it behind the shaft is passed at once, however far the shaft has moved since. */
-    const double way = target - axis->trajectory.theta;
-    if ((axis->encoder.upwards ? way : -way) > axis->trajectory.range) {
+    const double distance = target - axis->trajectory.theta;
+    if ((axis->encoder.upwards ? distance : -distance) > axis->trajectory.range) {
         return;
     }
     const double t = quadrature_time(&axis->encoder, &axis->trajectory) - axis->trajectory_time;

@@ -95,13 +95,24 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     saturated = [float(np.mean(np.abs(r.i_q_ref) >= limit - 2.0 * lsb)) for r in both]
     commanded, higher = AMPLITUDE / RPM, peaks[0] / RPM
     judge = Judge()
-    yield judge("peak with", higher, "rpm", 0.95 * commanded, 1.1 * commanded, reference="F21: almost no overshoot")
-    yield judge("lag with", lags[0], "deg", 0.0, 20.0, reference="F21: small lag")
-    yield judge("time at the limit with", saturated[0], "", 0.05, 0.8, reference="F21: at the limit while accelerating")
+    yield judge(
+        "peak with anti-windup", higher, "rpm", 0.95 * commanded, 1.1 * commanded, reference="F21: almost no overshoot"
+    )
+    yield judge("lag with anti-windup", lags[0], "deg", 0.0, 20.0, reference="F21: small lag")
+    yield judge(
+        "time at the limit with anti-windup",
+        saturated[0],
+        "",
+        0.05,
+        0.8,
+        reference="F21: at the limit while accelerating",
+    )
     minimum = PEAK_RATIO_MIN * max(higher, commanded)
-    yield judge("peak without", peaks[1] / RPM, "rpm", minimum, reference="F22: overshoot at every peak")
-    yield judge("lag without", lags[1], "deg", LAG_RATIO_MIN * lags[0], reference="F22: clear lag")
-    yield judge("time at the limit without", saturated[1], "", saturated[0], reference="F22: longer at the limit")
+    yield judge("peak without anti-windup", peaks[1] / RPM, "rpm", minimum, reference="F22: overshoot at every peak")
+    yield judge("lag without anti-windup", lags[1], "deg", LAG_RATIO_MIN * lags[0], reference="F22: clear lag")
+    yield judge(
+        "time at the limit without anti-windup", saturated[1], "", saturated[0], reference="F22: longer at the limit"
+    )
     yield _panel("F21: with anti-windup", with_it, frequency)
     yield _panel("F22: without anti-windup", without, frequency)
     yield f"axis {AXIS + 1}, {frequency:.3g} Hz, i_q limit {limit:.2f} A, speeds are the feedback's, as in F21 and F22"

@@ -223,8 +223,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 def _with_resistor(plant: PlantConfig, speed: float, resistor: float) -> float:
     """Highest bus voltage with the resistor [V]: rise until it is on, or over-voltage if it is too weak."""
     current = sum(_returned(axis, speed) for axis in plant.axes) / ON
-    left = max(current - ON / resistor, 0.0)
-    if left > 0.0:
+    excess = max(current - ON / resistor, 0.0)
+    if excess > 0.0:
         return OVER_VOLTAGE
     return ON + current * FILTER_DELAY / plant.bus.capacitance + MARGIN
 
@@ -242,7 +242,7 @@ def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, it: Stop, maximum:
         "highest bus voltage", it.u_dc.max(), "V", plant.bus.u_source, maximum, reference="below the limit, 33 V"
     )
     yield judge.none("faults", len(it.flags & faults), reference="none")
-    yield judge("both stand after", it.seconds, "s", 0.0, _longest(plant, speed))
+    yield judge("stop time of both axes", it.seconds, "s", 0.0, _longest(plant, speed))
 
 
 def _longest(plant: PlantConfig, speed: float) -> float:
@@ -272,8 +272,8 @@ def _short(plant: PlantConfig, seed: int, axis: int) -> Iterator[Row | Panel]:
     over, law = (current[moving] / slide[moving]).max(), "K_e w / sqrt(R^2 + w^2 L^2)"
     yield judge.true(f"short at {below / RPM:.0f} rpm", current.max() > 0.0, reference="allowed")
     yield judge.none(f"short at {above / RPM:.0f} rpm", beyond.max() > 0.0, reference="refused above some 1450 rpm")
-    yield judge("current off the formula", off, "of largest", maximum=maximum, reference=law)
-    yield judge("current over the slide's", over, "", 0.3, 1.02, reference="an upper bound: it has no drops")
+    yield judge("deviation of the current from the formula", off, "of largest", maximum=maximum, reference=law)
+    yield judge("current relative to the slide", over, "", 0.3, 1.02, reference="an upper bound: it has no drops")
     yield judge("speed after the short", speeds[-1] / RPM, "rpm", 0.0, 1.0, reference="rest")
     curves = (
         Curve("measured", speeds / RPM, current, "."),

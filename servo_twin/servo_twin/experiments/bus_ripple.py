@@ -80,8 +80,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
         judge = Judge(f"{name}, ", "F7: compensated")
         yield judge("ripple of the bus", bus, "%", 80.0 * AMPLITUDE, 110.0 * AMPLITUDE, reference="10 %")
-        yield judge("current ripple, with over without", ratio, maximum=RIPPLE_RATIO_MAX)
-        yield judge("current ripple with", part, "% of 2 A", maximum=100.0 * RIPPLE_MAX)
+        yield judge("current ripple with / without compensation", ratio, maximum=RIPPLE_RATIO_MAX)
+        yield judge("current ripple with compensation", part, "% of 2 A", maximum=100.0 * RIPPLE_MAX)
         yield (
             f"{name}: i_q ripple {1e3 * currents[0]:.3g} mA with, {1e3 * currents[1]:.3g} mA without; "
             f"speed ripple {speeds[0]:.3g} and {speeds[1]:.3g} rpm"

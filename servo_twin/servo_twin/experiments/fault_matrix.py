@@ -296,14 +296,14 @@ def _rows(judge: Judge, fault_case: FaultCase, own: Sequence[Case]) -> Iterator[
     """Fractions of passed cases; longest detection time in rotation, and without a motion command, if bounded."""
     for name, right in (
         (" or ".join(fault_case.faults) or "no fault", [c.name_correct for c in own]),
-        ("no motion after", [c.gained <= c.gain_max for c in own]),
+        ("no motion after the fault", [c.gained <= c.gain_max for c in own]),
         ("axis 2 as expected", [c.other for c in own]),
     ):
         yield judge(name, sum(right) / len(right), "of all", 1.0, 1.0)
     shown = [c for c in own if c.periods is not None]
     turning = [c.periods for c in shown if c.state in TURNING and c.periods is not None]
     if fault_case.periods_max is not None and NOTHING not in fault_case.faults and turning:
-        yield judge("outputs off, turning", max(turning), "PWM periods", 0.0, fault_case.periods_max)
+        yield judge("time until outputs off in rotation", max(turning), "PWM periods", 0.0, fault_case.periods_max)
     if fault_case.apart is not None and shown:
         latest, within = max(c.periods for c in shown if c.periods is not None), round(WAIT * 1e9 / PERIOD_NS)
         apart = fault_case.apart * latest + SLOW_PERIODS

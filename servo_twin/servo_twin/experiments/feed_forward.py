@@ -160,7 +160,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> Iterator[Row]:
     none, speed = moves["none"], moves["speed"]
     ratio, maximum = speed.error / max(none.error, 1e-9), SPEED_ERROR_RATIO_MAX * inertia.heavier
-    yield judge("following error, speed over none", ratio, maximum=maximum, reference=REFERENCE_LAG)
+    yield judge("following error, speed / none", ratio, maximum=maximum, reference=REFERENCE_LAG)
     for choice in ("speed, acceleration", "all"):
         maximum = error_bound(speed.error, inertia)
         yield judge(f"following error, {choice}", moves[choice].error, "counts", maximum=maximum)
@@ -169,11 +169,11 @@ def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: 
     displacement = max(move.displacement for move in forward)
     maximum = ARRIVED + displacement + INERTIA_OVERSHOOT_MAX * inertia.wrong * speed.error + friction_overshoot
     beyond = max(move.overshoot for move in forward)
-    yield judge("overshoot, worst", beyond, "counts", maximum=maximum, reference=REFERENCE_OVERSHOOT)
+    yield judge("largest overshoot", beyond, "counts", maximum=maximum, reference=REFERENCE_OVERSHOOT)
     later = _settling_increase(none.settling, [move.settling for move in forward])
     lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
     apart = SETTLING_INCREASE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
-    yield judge("settling, latest less none", later, "s", maximum=SETTLING_INCREASE_MAX, apart=apart)
+    yield judge("additional settling time", later, "s", maximum=SETTLING_INCREASE_MAX, apart=apart)
 
 
 def _settling_increase(without: float | None, forward: list[float | None]) -> float | None:

@@ -151,7 +151,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     speeds: dict[bool, list[float]] = {False: [], True: []}
     for load, weak in itertools.product(LOADS, (True, False)):
         recording = loaded(plant, seed, load, weak=weak)
-        judge = Judge(f"{1e3 * load:g} mN m {'with' if weak else 'without'}: ")
+        judge = Judge(f"{1e3 * load:g} mN m {'with' if weak else 'without'} field weakening: ")
         yield _speed(judge, recording, theoretical_speed(axis, volts, load, weak=weak))
         speeds[weak].append(float(recording.omega.mean()))
         if weak:
@@ -191,10 +191,14 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield _free(judge, idle, MARGIN + MARGIN_TOLERANCE)
     judge, at_rest = Judge(), whole.part(rest + SETTLE)
     yield judge(
-        "load step: speed lost over that at 2000 rpm", dip / _dip_at(plant, seed, 0.5 * RATED), "", 0.0, DROP_RATIO_MAX
+        "load step: speed dip relative to that at 2000 rpm",
+        dip / _dip_at(plant, seed, 0.5 * RATED),
+        "",
+        0.0,
+        DROP_RATIO_MAX,
     )
     yield judge("highest speed after load removal", high / RPM, "rpm", 0.0, (1.0 + OVERSHOOT_MAX) * RATED / RPM)
-    yield judge("at rest again: i_d", np.abs(at_rest.i_d).mean(), "A", 0.0, 0.1)
+    yield judge("i_d at standstill", np.abs(at_rest.i_d).mean(), "A", 0.0, 0.1)
     yield _panel("run-up, load step, stop", whole)
 
 
@@ -230,7 +234,7 @@ def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float)
     yield from _deviation_rows(judge, low)
     yield judge("recovery time after the supply returns", time, "s", 0.0, RECOVERY_TIME_MAX)
     maximum = (1.0 + 2.0 * REACHED) * RATED / RPM
-    yield judge("highest speed then", float(after.omega.max()) / RPM, "rpm", 0.0, maximum)
+    yield judge("highest speed after the supply returns", float(after.omega.max()) / RPM, "rpm", 0.0, maximum)
 
 
 # ---- a fault ---------------------------------------------------------------------------------------------------------
@@ -252,8 +256,8 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         charged = float(recording.part(hot - TICK, hot).u_dc.max())
         emf = math.sqrt(3.0) * plant.axes[AXIS].pole_pairs * plant.axes[AXIS].psi_m * RATED
         yield judge.true("detected", found.size > 0)
-        yield judge.none("in RUN in that tick", after.state[0] == recording.state[0])
-        yield judge("current from the next tick on", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
+        yield judge.none("still in RUN in the tick of the fault", after.state[0] == recording.state[0])
+        yield judge("current after the next tick", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
         maximum = min(max(charged, emf) + NOISE, OVER_VOLTAGE)
         yield judge("highest bus voltage", after.u_dc.max(), "V", 0.0, maximum)
 
@@ -280,7 +284,7 @@ def _panel(title: str, recording: Recording) -> Panel:
         Curve("speed [1000 rpm]", time, recording.omega / RPM / 1e3),
         Curve("i_d [A]", time, recording.i_d),
         Curve("i_q [A]", time, recording.i_q),
-        Curve("voltage left [V]", time, np.minimum(free_voltage(recording), 3.0)),
+        Curve("voltage reserve [V]", time, np.minimum(free_voltage(recording), 3.0)),
     )
     return Panel(title, "time [ms]", "", curves)
 

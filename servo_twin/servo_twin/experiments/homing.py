@@ -267,7 +267,7 @@ def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
             turned = abs(board.truth(axis).theta_m - starts[axis]) / (2.0 * math.pi)
             yield judge.true("NOT_FOUND", result == "NOT_FOUND")
             yield judge.true("fault HOMING alone", rig.flags_of(board, axis, "faults") == {"HOMING"})
-            yield judge("turned", turned, "turns", home.turns_max, home.turns_max + 0.1)
+            yield judge("rotation", turned, "turns", home.turns_max, home.turns_max + 0.1)
 
 
 @dataclass(frozen=True)
@@ -307,19 +307,19 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for kind in KINDS:
         found = [c for trial in range(TRIALS) for c in contacts(plant, seed, kind, trial)]
         judge = Judge(f"{kind}: ")
-        yield judge.none("homings that fail", sum(not c.done for c in found))
+        yield judge.none("failed homings", sum(not c.done for c in found))
         yield judge("spread", max(c.spread for c in found), "counts", maximum=SPREAD_MAX)
-        yield judge("repeats within", max(c.repeats for c in found), "counts", maximum=PLACE_MAX)
-        yield judge("place", max(c.place for c in found), "counts", maximum=PLACE_MAX)
+        yield judge("repeatability", max(c.repeats for c in found), "counts", maximum=PLACE_MAX)
+        yield judge("position error", max(c.place for c in found), "counts", maximum=PLACE_MAX)
         yield judge("largest current", max(c.current for c in found), "of the limit", maximum=CURRENT_MAX)
         yield judge("largest force", max(c.force for c in found), "of an ideal spring", 0.3, 1.0)
         places.append(_places(kind, [c.place for c in found], "o"))
     switches = [one for trial in range(TRIALS) for one in to_switches(plant, seed, trial)]
     judge, off = Judge("switch: "), [s.place for s in switches]
-    yield judge.none("homings that fail", sum(not s.done for s in switches))
+    yield judge.none("failed homings", sum(not s.done for s in switches))
     yield judge("spread", max(s.spread for s in switches), "counts", maximum=SWITCH_SPREAD)
-    yield judge("earliest beyond its edge", min(off), "counts", *BEYOND_EDGE)
-    yield judge("latest beyond its edge", max(off), "counts", *BEYOND_EDGE)
+    yield judge("smallest distance beyond the edge", min(off), "counts", *BEYOND_EDGE)
+    yield judge("largest distance beyond the edge", max(off), "counts", *BEYOND_EDGE)
     places.append(_places("switch", off, "x"))
     yield from missing(plant, seed)
     it = unhomed(plant, seed)

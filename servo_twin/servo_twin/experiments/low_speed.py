@@ -64,7 +64,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             says = "2.4.6: better" if rpm < RARE_EDGES else "2.4.6: no difference when edges come often"
             position_error = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
-            yield judge("deviation enhanced over plain", ratio, maximum=NOISE_RATIO_MAX, reference=says)
+            yield judge("deviation, enhanced / plain", ratio, maximum=NOISE_RATIO_MAX, reference=says)
             yield judge("position error with enhanced M/T", position_error, "counts", maximum=POSITION_ERROR_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "
@@ -72,8 +72,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             )
             if axis == 0:
                 yield _panel(what, rpm, plain, better)
-        judge = Judge(f"{axis_name(axis)}, where it helps most, ", "2.4.6: better when edges are rare")
-        yield judge("deviation enhanced over plain", min(rare), maximum=DEVIATION_RATIO_MAX)
+        judge = Judge(f"{axis_name(axis)}, largest improvement, ", "2.4.6: better when edges are rare")
+        yield judge("deviation, enhanced / plain", min(rare), maximum=DEVIATION_RATIO_MAX)
 
 
 def _panel(title: str, rpm: float, plain: Recording, better: Recording) -> Panel:

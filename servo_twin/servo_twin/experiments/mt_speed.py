@@ -325,14 +325,18 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge(f"M, {at_high}", 100 * high.m, "%", maximum=m_floor, reference="2.4.4: M is good at high speed")
     yield judge(f"T, {at_low}", 100 * low.t, "%", maximum=0.1, reference="2.4.4: T is good at low speed")
     yield judge(f"T, {at_high}", 100 * high.t, "%", 5.0, reference="2.4.4: T is poor at high speed")
-    yield judge("M/T, largest error over 1/M2", mt, "1/M2", maximum=FLOOR, reference=exact_edges)
+    yield judge("M/T, largest error relative to 1/M2", mt, "1/M2", maximum=FLOOR, reference=exact_edges)
     yield judge(
-        "enhanced M/T, largest error over 1/M2", enhanced, "1/M2", maximum=FLOOR, reference="as M/T at steady speed"
+        "enhanced M/T, largest error relative to 1/M2",
+        enhanced,
+        "1/M2",
+        maximum=FLOOR,
+        reference="as M/T at steady speed",
     )
     m2_says = "781.25 kHz, 1000 lines: 46875"
     yield judge(f"M2 at {SPEEDS[0]:g} rpm", low.m2, "ticks", 46874.0, 46876.0, reference=m2_says)
     exact = sum(a == b for a, b in zip(worked_example(), F19_FACTORS, strict=True))
-    yield judge("F19, values exact", exact, "of 5", 5.0, 5.0, reference="1, 4/5, 4/8, 4/11, then 1/3")
+    yield judge("F19, exact values", exact, "of 5", 5.0, 5.0, reference="1, 4/5, 4/8, 4/11, then 1/3")
     brake, slow = methods(plant, seed, braking, 0.1 + BRAKE_TIME + BRAKE_REST)
     it, what, maximum = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
     yield judge(what, it.deviation, "ticks", maximum=2.0, reference="F19: M2 / TMR3")

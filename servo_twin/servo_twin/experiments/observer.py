@@ -151,8 +151,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         what = f"{name} at {slow.speed / RPM:.0f} rpm"
         judge = Judge(f"{what}, ", NOT_SHOWN)
         ratio = doubled.amplitude / max(slow.amplitude, 1e-9)
-        yield judge("amplitude, made up", slow.amplitude, "deg", maximum=RIPPLE)
-        yield judge("amplitude, not made up over made up", ratio, "", AMPLITUDE_RATIO_MIN)
+        yield judge("amplitude with compensation", slow.amplitude, "deg", maximum=RIPPLE)
+        yield judge("amplitude without / with compensation", ratio, "", AMPLITUDE_RATIO_MIN)
         yield f"{what}, without compensation: amplitude {doubled.amplitude:.3g} deg"
         yield _over_speed(name, points)
         errors = {"dead time compensated": slow, "not compensated": doubled}
@@ -200,7 +200,7 @@ def _sensitivity(
             what, says = f"Rs x {r_s:g}", "not very sensitive to Rs"
         judge = Judge(f"{axis_name(axis)}, {what}, ", says)
         if r_s != 1.0:
-            yield judge("error changes by", largest, "deg", maximum=THEORY_ERROR_MAX)
+            yield judge("change of the error", largest, "deg", maximum=THEORY_ERROR_MAX)
         yield judge("difference between measured and theoretical change", away, "deg", maximum=THEORY_ERROR_MAX)
 
 

@@ -94,9 +94,11 @@ def figures(recording: Recording, speed: float, distance: int, axis_limit: float
     yield judge(
         f"largest jump of the S curve's {slow_loop}", jump, "of v", maximum=0.1, reference="F24: changes evenly"
     )
-    yield judge("S curve against E38", misfit, "of the distance", maximum=0.01, reference="E38, damping 1")
+    yield judge(
+        "deviation of the S curve from E38", misfit, "of the distance", maximum=0.01, reference="E38, damping 1"
+    )
     yield judge("overshoot of the S curve", over, "counts", 0.0, 0.0, reference="E38: damping 1")
-    yield judge("end of the S curve", abs(path[-1] - distance), "counts", 0.0, 0.0, reference="F23: arrives")
+    yield judge("end error of the S curve", abs(path[-1] - distance), "counts", 0.0, 0.0, reference="F23: arrives")
     yield judge.none("steps backwards", backwards, reference="F23: monotonous")
     yield judge(
         "highest speed of the S curve", slope.max() / speed, "of v", 0.95, 1.02, reference="F24: that of the ramp"

@@ -293,7 +293,7 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
         results["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
         board.write("cmd.enable", [1, 0])
         board.run(0.05)
-        results["enable, whole again: enabled by a new command"] = _in(board, 0, "RUN")
+        results["enable, restored: enabled by a new command"] = _in(board, 0, "RUN")
     return results
 
 
@@ -307,21 +307,21 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis in range(AXES):
         judge = Judge(f"{axis_name(axis)}, load of {load_of(plant, axis) * 1e3:.0f} mN m: drop, ")
         first, again, off, fault = (max(drops) for drops in zip(*(h.drops[axis] for h in load_drops), strict=True))
-        yield judge("first enabling", first, "rad", maximum=FIRST_DROP, apart=0.1)
-        yield judge("enabled again", again, "rad", maximum=TRANSFER_DROP_MAX)
+        yield judge("first enable", first, "rad", maximum=FIRST_DROP, apart=0.1)
+        yield judge("repeated enable", again, "rad", maximum=TRANSFER_DROP_MAX)
         yield judge("disabled", off, "rad", maximum=TRANSFER_DROP_MAX)
         yield judge("enable input opened", fault, "rad", maximum=fault_drop(plant, axis))
     switches, named = open_enable(plant, seed)
     judge = Judge("enable input at full speed: ")
-    yield judge("switches open after", switches, "PWM periods", 0.0, 1.0)
-    yield judge.true("named", named)
+    yield judge("time until the switches open", switches, "PWM periods", 0.0, 1.0)
+    yield judge.true("fault reported", named)
     maximum = FULL_SPEED**2 / (2.0 * ACCELERATION) + FULL_SPEED * (REACTION_TIME + LAG)
     for axis, found in enumerate(overrun(plant, seed)):
         judge = Judge(f"{axis_name(axis)}, limit switch at {FULL_SPEED:.0f} rad/s: ")
-        yield judge("beyond", found.beyond, "rad", 0.0, maximum)
-        yield judge.true("named", found.named)
-        yield judge("sent on, moves", found.into, "counts", maximum=2.0)
-        yield judge("sent back, moves", found.off, "counts", 3990.0, 4010.0)
+        yield judge("overtravel", found.beyond, "rad", 0.0, maximum)
+        yield judge.true("fault reported", found.named)
+        yield judge("motion by a set-point beyond the switch", found.into, "counts", maximum=2.0)
+        yield judge("motion by a set-point off the switch", found.off, "counts", 3990.0, 4010.0)
     for what, right in cut_wires(plant, seed).items():
         yield Judge("wire cut: ").true(what, right)
     curves = [

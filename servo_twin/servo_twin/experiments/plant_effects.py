@@ -220,12 +220,12 @@ EFFECTS: Final = (
         lambda a: {"disc_eccentricity": ECCENTRICITY}, speed_ripple, "time [s]", "speed [rad/s]",
     ),
     Effect(
-        "current that answers the cogging", "A", 0.1,
+        "current that compensates the cogging", "A", 0.1,
         lambda a: {"cogging_torque": COGGING * a.torque_constant, "cogging_periods": PERIODS},
         current_ripple, "angle [rad]", "i_q [A]",
     ),
     Effect(
-        "L_q at the saturation's current", "mH", 0.1,
+        "L_q at the saturation current", "mH", 0.1,
         lambda a: {"i_saturation_q": I_SATURATION}, inductance, "time [ms]", "u_q [V]",
     ),
     Effect(

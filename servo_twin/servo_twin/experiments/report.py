@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.figure import new_figure, write_figure
+
 from servo_twin.experiments.outcome import Outcome, Panel
-from servo_twin.figure import new_figure
 
 SUMMARY: Final = "summary.json"
 _HEAD: Final = ("figure", "measured", "unit", "bound", "agrees", "the reference design")
@@ -73,15 +74,7 @@ def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Draw the panels of an outcome.
-
-    Raises
-    ------
-    SimulationError
-        If matplotlib is not installed.
-    OSError
-        If the picture cannot be written.
-    """
+    """Draw the panels of an outcome."""
     columns = 1 if len(outcome.panels) <= 1 else 2
     rows = max(math.ceil(len(outcome.panels) / columns), 1)
     figure = new_figure(6.8 * columns, 3.6 * rows + 0.6, 110)
@@ -92,8 +85,7 @@ def draw(outcome: Outcome, path: Path) -> None:
         plot.set_axis_off()
     verdict = "agrees" if outcome.agrees else "does not agree"
     figure.suptitle(f"{outcome.name}: {verdict} with the reference design")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    write_figure(figure, path)
 
 
 def _draw_panel(plot: Any, panel: Panel) -> None:

@@ -67,7 +67,7 @@ class SearchFault:
     maximum: float = DETECTION_MAX  # largest time until the fault is reported [s]
 
 
-LOCKED: Final = SearchFault("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
+LOCKED: Final = SearchFault("shaft blocked", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
 UNPLUGGED: Final = SearchFault(
     "encoder unplugged", "ENCODER_LOST", lambda board, axis: board.connect_encoder(axis, False)
 )
@@ -78,7 +78,7 @@ SEARCH_FAULTS: Final = (
     SearchFault("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
     SearchFault("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
     SearchFault(
-        "encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), DETECTION_MAX_RETRY
+        "encoder reversed", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), DETECTION_MAX_RETRY
     ),
     SearchFault(
         "shaft with play of 2 counts",
@@ -97,7 +97,7 @@ detection of a reversed encoder, and the search ends after 5 s (ROTOR_SEARCH). W
 shaft is at standstill within 0.1 s.
 """
 TWITCHING: Final = SearchFault(
-    "twitching from stop to stop",
+    "shaft between two stops",
     "ROTOR_SEARCH",
     lambda board, axis: board.obstruct_shaft(axis, 3.6 * COUNT, 0.5 * COUNT),
     DETECTION_MAX_RETRY,
@@ -277,7 +277,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield judge("searches", halvings, "", 1.0, SEARCHES_F16, reference="F16: 8")
         yield from _rows("from 30 degrees", plant, axis, [search])
     for axis, search in enumerate(find(plant, seed)):
-        yield from _rows("from the plant's own angle", plant, axis, [search])
+        yield from _rows("from the angle of the plant", plant, axis, [search])
     yield _panel_f16("counter", "position [counts]", [s.counts for s in first])
     yield _panel_f16("vector", "theta_M [degrees electrical]", [s.theta_m for s in first])
     yield from _everywhere(plant, seed)
@@ -290,10 +290,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 def _everywhere(plant: PlantConfig, seed: int) -> Iterator[Item]:
     conditions = {
-        "from everywhere": (plant, TIME_F16),
+        "from every angle": (plant, TIME_F16),
         "three times the friction": (_scaled(plant, friction=3.0), TIME_F16),
         "three times the inertia": (_scaled(plant, inertia=3.0), TIME_F16),
-        "heavy and light-running": (_scaled(plant, inertia=10.0, friction=0.1), TIME_HEAVY),
+        "large inertia, low friction": (_scaled(plant, inertia=10.0, friction=0.1), TIME_HEAVY),
     }
     errors: list[Curve] = []
     times: list[Curve] = []
@@ -332,24 +332,24 @@ def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
     loose, stiff = _scaled(plant, friction=LIGHT_FRICTION[level()]), _scaled(plant, friction=3.0, inertia=3.0)
     starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, FAULT_EVERY)]
 
-    def from_everywhere(search_fault: SearchFault) -> list[list[Search]]:
+    def from_every_angle(search_fault: SearchFault) -> list[list[Search]]:
         return by_axis(
             find(start_at(changed, d), seed + k, search_fault=search_fault) for k, (changed, d) in enumerate(starts)
         )
 
     for search_fault in SEARCH_FAULTS:
-        yield from _rows_named(search_fault, "", from_everywhere(search_fault))
+        yield from _rows_named(search_fault, "", from_every_angle(search_fault))
     for search_fault in (LOCKED, UNPLUGGED):
         when = enumerate(itertools.product((-101.0, 64.0), DISTURBED_AT))
         found = by_axis(
             find(start_at(plant, d), seed + k, search_fault=search_fault, after=after) for k, (d, after) in when
         )
-        yield from _rows_named(search_fault, " under way", found)
-    for axis, searches in enumerate(from_everywhere(TWITCHING)):
+        yield from _rows_named(search_fault, " during the search", found)
+    for axis, searches in enumerate(from_every_angle(TWITCHING)):
         judge = Judge(f"{axis_name(axis)} {TWITCHING.name}: ", NOT_SHOWN)
         bound = error_bound(plant.axes[axis], max(s.current for s in searches))
         true = [s.faults == {TWITCHING.fault} or (s.error is not None and abs(s.error) <= bound) for s in searches]
-        yield judge("held or found true", sum(true) / len(true), "of all", 1.0, 1.0)
+        yield judge("blocked or correct angle", sum(true) / len(true), "of all", 1.0, 1.0)
         yield judge("time", max(s.time for s in searches), "s", maximum=TWITCHING.maximum)
 
 
@@ -359,7 +359,7 @@ def _rows_named(search_fault: SearchFault, when: str, found: Sequence[Sequence[S
         judge = Judge(f"{axis_name(axis)} {search_fault.name}{when}: ", NOT_SHOWN)
         share = sum(s.faults == {search_fault.fault} and s.error is None for s in searches) / len(searches)
         yield judge(search_fault.fault, share, "of all", 1.0, 1.0)
-        yield judge("named", max(s.time for s in searches), "s", maximum=search_fault.maximum)
+        yield judge("detection time", max(s.time for s in searches), "s", maximum=search_fault.maximum)
 
 
 def _panel_f16(title: str, label: str, lines: Sequence[NDArray[np.float64]]) -> Panel:

@@ -103,7 +103,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         theory = [1e3 * it.speed / theoretical_speed_drop(motor, 1.0) for it in found]
         for it, step in zip(found, theory, strict=True):
             where = f"{name} at {it.speed / RPM:.0f} rpm"
-            yield Judge(f"{where}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, maximum))
+            yield Judge(f"{where}, ", NOT_SHOWN)("largest tolerated step", 1e3 * it.torque, "mN m", min(step, maximum))
             after = f"next step: {it.end}" if it.end else "largest tested step"
             yield (
                 f"{where}: {1e3 * it.torque:.0f} mN m reduce the speed by {it.speed_drop / RPM:.0f} rpm, theory "

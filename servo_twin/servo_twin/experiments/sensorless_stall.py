@@ -222,7 +222,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for what, part, frequency, reference, maximum in cases:
             it, judge = stall(plant, seed, axis, part, frequency), Judge(f"{name}, {what}, ", reference)
             time = None if it.detected is None else 1e3 * it.detected
-            yield judge("outputs off after", time, "ms", maximum=1e3 * maximum)
+            yield judge("time until outputs off", time, "ms", maximum=1e3 * maximum)
             named, error = it.faults == "SPEED_FEEDBACK", "error on speed feedback"
             yield judge.true("reported fault SPEED_FEEDBACK", named, reference=error)
             alone = f"not in {OBSERVED:g} s" if it.variance_time is None else f"after {1e3 * it.variance_time:.0f} ms"

@@ -192,32 +192,32 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for name, overtravel, limited_overtravel in zip(
         names, load_overtravel(plant, seed, False), load_overtravel(plant, seed, True), strict=True
     ):
-        judge = Judge(f"{name}, position, a load leans on it: ")
+        judge = Judge(f"{name}, position, load towards the limit: ")
         yield judge("overtravel without the feature", overtravel, "counts", PASSES_MIN)
         yield judge("overtravel with the feature", limited_overtravel, "counts", maximum=BEYOND_UNHELD_MAX)
     alone, farther, nearer = set_behind(plant, seed)
     for axis, name in enumerate(names):
         judge, back = Judge(f"{name}, limit set behind the shaft"), nearer[axis].shaft
         moved, off = 2.0 * BEHIND * COUNTS_PER_TURN, BEYOND_MAX + 1.0
-        yield judge(": moves", np.ptp(alone[axis].shaft), "counts", maximum=BEYOND_MAX)
-        yield judge(", target farther out: moves", np.ptp(farther[axis].shaft), "counts", maximum=BEYOND_MAX)
-        yield judge.near(", target inside: moves", back[0] - back[-1], "counts", moved, off)
+        yield judge(": motion", np.ptp(alone[axis].shaft), "counts", maximum=BEYOND_MAX)
+        yield judge(", target further outside: motion", np.ptp(farther[axis].shaft), "counts", maximum=BEYOND_MAX)
+        yield judge.near(", target inside: motion", back[0] - back[-1], "counts", moved, off)
     for mode in ("SPEED", "TORQUE"):
         free, limited = (run_to_speed_limit(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
         for name, *pair in zip(names, free, limited, strict=True):
             maximum, minimum = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
             without, with_it = (float(np.abs(it.out.omega).max()) for it in pair)
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
-            yield judge("highest without", without, "rad/s", minimum)
-            yield judge("highest with", with_it, "rad/s", maximum=maximum)
+            yield judge("highest speed without the limit", without, "rad/s", minimum)
+            yield judge("highest speed with the limit", with_it, "rad/s", maximum=maximum)
             yield judge("limit flag set", pair[1].reported, "of the time", 1.0, 1.0)
     free, limited = (run_to_current_limit(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
         without, with_it = (float(np.abs(it.out.i_q_true).max()) for it in pair)
         maximum = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
-        yield judge("largest without", without, "A", 1.5 * CURRENT_LIMIT)
-        yield judge("largest with", with_it, "A", maximum=maximum)
+        yield judge("largest current without the limit", without, "A", 1.5 * CURRENT_LIMIT)
+        yield judge("largest current with the limit", with_it, "A", maximum=maximum)
         yield judge("limit flag set", pair[1].reported, "of the time", 0.9, 1.0)
 
 

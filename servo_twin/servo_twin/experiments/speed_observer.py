@@ -142,14 +142,14 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             without, observed = creep(nominal_plant, seed, axis, speed)
             error = 100.0 * abs(float(observed.omega.mean()) / speed - 1.0)
             better = BETTER + ratio_uncertainty(without, nominal_plant.axes[axis], speed)
-            yield judge("error of the true mean", error, "%", maximum=MEAN_MAX)
-            yield judge("deviation with over without", rms(observed, speed) / rms(without, speed), maximum=better)
+            yield judge("error of the mean true speed", error, "%", maximum=MEAN_MAX)
+            yield judge("deviation with / without observer", rms(observed, speed) / rms(without, speed), maximum=better)
             if axis == 0:
                 yield _creep_panel(f"{name} at {rpm:g} rpm", without, observed, rpm)
         judge = Judge(f"{name}, ")
         moved = without, observed = move(nominal_plant, seed, axis)
         ratio = following(observed) / following(without)
-        yield judge("following error with over without", ratio, maximum=BETTER)
+        yield judge("following error with / without observer", ratio, maximum=BETTER)
         if axis == 0:
             yield _move_panel(name, without, observed)
         for inertia, friction in HOLDS:

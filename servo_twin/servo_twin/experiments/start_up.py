@@ -214,8 +214,14 @@ def many(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[Star
 
 
 TIMES: Final[tuple[tuple[str, str, str, float, Callable[[Start], float | None]], ...]] = (
-    ("angle converges within", "angle", "angle has converged", ANGLE_MAX, lambda start_: start_.converged),
-    ("criterion met within", "criterion", "criterion is met", CRITERION_MAX, lambda start_: start_.criterion),
+    ("time until the angle converges", "angle", "angle has converged", ANGLE_MAX, lambda start_: start_.converged),
+    (
+        "time until the criterion is met",
+        "criterion",
+        "criterion is met",
+        CRITERION_MAX,
+        lambda start_: start_.criterion,
+    ),
 )
 """Figures of a start: name, name in the notes, name of the curve, bound and value [s]."""
 
@@ -240,9 +246,9 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
     good, failed = ([s for s in starts if s.succeeded is succeeded] for succeeded in (True, False))
     yield f"random starts: {len(starts)}"
     judge = Judge("", NOT_SHOWN)
-    yield judge("random starts, success", 100.0 * len(good) / len(starts), "%", RATE_MIN)
+    yield judge("successful random starts", 100.0 * len(good) / len(starts), "%", RATE_MIN)
     lost = sum(s.criterion is not None and not s.end.isupper() for s in failed)  # names of faults are in capitals
-    yield judge("of them turning wrongly without a fault", lost, maximum=0.0)
+    yield judge("random starts that fail without a fault", lost, maximum=0.0)
     distributions: list[Curve] = []
     for name, label, done, maximum, value in TIMES:
         times = np.sort([1e3 * seconds for s in good if (seconds := value(s)) is not None])

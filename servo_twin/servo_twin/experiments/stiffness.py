@@ -63,9 +63,9 @@ def _rows(judge: Judge, motor: AxisPlant, r: Recording) -> Iterator[Row]:
     bounds = float(np.degrees(deflection_min(motor))), float(np.degrees(DEFLECTION_MAX))
     yield judge("deflection", np.degrees(deflection), "deg", *bounds)
     yield judge("stiffness", torque / max(deflection, COUNT), "N m/rad", torque / DEFLECTION_MAX)
-    yield judge("recovery", settling_time(loaded, target, ARRIVED, LEAD), "s", TICK, RECOVERY_MAX)
+    yield judge("recovery time", settling_time(loaded, target, ARRIVED, LEAD), "s", TICK, RECOVERY_MAX)
     yield judge(
-        "recovery after the load", settling_time(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MAX
+        "recovery time after the load", settling_time(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MAX
     )
     yield judge("steady-state error under load", error, "counts", maximum=ARRIVED)
     yield judge("largest i_q*", np.abs(r.i_q_ref).max(), "A", NOMINAL, LIMIT + 1e-3, reference="4 A limit")

@@ -177,7 +177,7 @@ BLOCKED: Final = Cause(
 CAUSES: Final = (
     BLOCKED,
     Cause(
-        "too large a load in a move", "FOLLOWING_ERROR", _long_move,
+        "too large load in a move", "FOLLOWING_ERROR", _long_move,
         lambda bench, board, axis: board.set_load(axis, LOAD * bench.peaks[axis]), overloaded_max,
     ),
     Cause(
@@ -236,9 +236,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             what, (without, supervised) = f"{axis_name(axis)}, {cause.name}: ", pair
             judge, time = Judge(what), supervised.time
             sooner = math.inf if without.time is None else without.time
-            yield judge("outputs off after", time, "s", 0.0, cause.maximum(bench, axis))
+            yield judge("time until outputs off", time, "s", 0.0, cause.maximum(bench, axis))
             yield judge.true("expected fault reported", supervised.fault == masks[cause.fault])
-            yield judge("time with over without", None if time is None else time / sooner, maximum=TIME_RATIO_MAX)
+            yield judge(
+                "time with / without the feature", None if time is None else time / sooner, maximum=TIME_RATIO_MAX
+            )
             yield f"{what}without {_description(without, masks)}; with {_description(supervised, masks)}"
             ends = {"without": without, "with": supervised}
             curves += [_until_off(f"{axis_name(axis)} {how}", it) for how, it in ends.items()]

@@ -138,9 +138,15 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         more = 100.0 * (deviation(together) - deviation(alone)) / CONSTANT
         variation, minimum = np.ptp(together.u_dc), BUS_VARIATION_MIN * reversals.bus_rise(plant, 1 - observed)
         reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
-        yield judge(", the other reverses: bus swing", variation, "V", minimum, OVER_VOLTAGE - UNDER_VOLTAGE)
         yield judge(
-            " turns, the other reverses: more deviation", more, "% of speed", maximum=DEVIATION_MAX, reference=unfelt
+            ", the other reverses: bus voltage variation", variation, "V", minimum, OVER_VOLTAGE - UNDER_VOLTAGE
+        )
+        yield judge(
+            " rotates, the other reverses: additional deviation",
+            more,
+            "% of speed",
+            maximum=DEVIATION_MAX,
+            reference=unfelt,
         )
         yield judge(
             " holds, the other reverses: deviation", position_deviation, "counts", maximum=HOLD_MAX, reference=unfelt
@@ -164,7 +170,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge.none("faults", faults, reference="none")
     for axis, r in stop.items():
         speed_left = np.abs(r.omega[-100:]).max() / RPM
-        yield judge(f"{axis_name(axis)} stands", speed_left, "rpm", maximum=STANDSTILL * speed / RPM)
+        yield judge(f"{axis_name(axis)} at standstill: speed", speed_left, "rpm", maximum=STANDSTILL * speed / RPM)
     yield f"both brake from {speed / RPM:.4g} rpm"
     speeds = [Curve(f"{axis_name(axis)} [100 rpm]", r.time, r.omega / RPM / 100.0) for axis, r in stop.items()]
     bus = Curve("bus [V]", stop[0].time, stop[0].u_dc)

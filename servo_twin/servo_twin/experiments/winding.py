@@ -186,10 +186,10 @@ def figures(judge: Judge, it: TimeSeries, model: Winding, winding: Winding) -> I
     rest = max(FINAL_ERROR_MAX, REMAINING_RISE_MAX * (truth - winding.ambient))
     late = 0.05 * until + 2.0 * STEP
     yield judge("time until derating", it.derated_from, "s", until - late, until + late)
-    yield judge.near("current in the end", it.current[-1], "A", current, 0.02 * current)
-    yield judge.near("estimate in the end", it.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
-    yield judge("winding in the end", it.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
+    yield judge.near("final current", it.current[-1], "A", current, 0.02 * current)
+    yield judge.near("final estimate", it.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
+    yield judge("final winding temperature", it.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
     yield judge.none("faults", it.faults)
     if winding == model:
         step = model.loss(model.current, model.derating) / model.capacity * STEP_TICKS * TICK
-        yield judge("estimate off the winding", np.abs(it.estimate - it.truth).max(), "K", 0.0, step + ERROR_MAX)
+        yield judge("error of the estimate", np.abs(it.estimate - it.truth).max(), "K", 0.0, step + ERROR_MAX)

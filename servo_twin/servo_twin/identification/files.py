@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.motor_values import COVERAGE, UNITS
 
-from servo_twin.figure import new_figure
 from servo_twin.firmware_build import as_toml
 from servo_twin.identification.refine import plant_of
 from servo_twin.identification.session import Identified, rows_of
@@ -120,7 +120,7 @@ def draw(path: Path, result: Identified) -> None:
         plot.grid(alpha=0.3)
     plots[0, 0].legend()
     _bars(plots[1, 2], result)
-    figure.savefig(path)
+    write_figure(figure, path)
 
 
 def _bars(plot: Any, result: Identified) -> None:

@@ -67,8 +67,10 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
-    parser.add_argument("--vary", action="append", required=True, metavar="NAME=VALUES", help="varied value (above)")
-    parser.add_argument("--method", choices=METHODS, help="default: grid if every value has levels, else latin")
+    parser.add_argument(
+        "--vary", action="append", required=True, metavar="NAME=VALUES", help="value to vary; syntax above"
+    )
+    parser.add_argument("--method", choices=METHODS, help="default: grid if all values are discrete, else latin")
     parser.add_argument("--count", type=argument.count, metavar="N", help="trials, for latin and random")
     parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml to vary (default: of the firmware)")
     parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")

@@ -10,7 +10,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-from servo_twin.figure import new_figure
+from servo_msgs_py.figure import new_figure, write_figure
+
 from servo_twin.simulation import SimulationError
 from servo_twin.sweep.space import Varied
 from servo_twin.sweep.trial import Trial
@@ -85,11 +86,6 @@ def draw(path: Path, trials: Iterable[Trial], varied: Sequence[Varied], figures:
     figures : sequence of str
         Figures, one row each.
     title : str
-
-    Raises
-    ------
-    SimulationError
-        If matplotlib is not installed.
     """
     shown = list(trials)
     drawing = new_figure(3.2 * len(varied) + 1.0, 2.2 * len(figures) + 0.6, 100)
@@ -102,7 +98,7 @@ def draw(path: Path, trials: Iterable[Trial], varied: Sequence[Varied], figures:
             _scatter(plots[line, column], shown, value.name, name)
     for line, name in enumerate(figures):
         plots[line, 0].set_ylabel(textwrap.fill(name, LABEL_WIDTH), fontsize="small")
-    drawing.savefig(path)
+    write_figure(drawing, path)
 
 
 def _scatter(plot: Any, shown: Sequence[Trial], value: str, name: str) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.figure import new_figure, write_figure
 from tqdm import tqdm
 
 from servo_msgs_py import argument
-from servo_twin.figure import new_figure
 from servo_twin.firmware_build import SERVO_TOML, as_toml, servo_table
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
@@ -155,4 +155,4 @@ def _draw(path: Path, found: Sequence[Score], best: Sequence[Score], present: Sc
     plot.set_ylabel(f"{objective.figure}, worst plant")
     plot.grid(alpha=0.3)
     plot.legend()
-    drawing.savefig(path)
+    write_figure(drawing, path)

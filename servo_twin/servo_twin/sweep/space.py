@@ -135,7 +135,7 @@ class Space:
 
     @classmethod
     def of(cls, varied: Sequence[Varied], method: Method | None, count: int | None, seed: int) -> Space:
-        """Create the space; default method: grid if every value has levels, else Latin hypercube.
+        """Create the space; default method: grid if all values are discrete, else Latin hypercube.
 
         Raises
         ------

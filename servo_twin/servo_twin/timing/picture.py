@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.figure import new_figure, write_figure
 
 from servo_twin.simulation import SimulationError
 from servo_twin.timing.chip_map import LOOPS, PHASES, VECTOR_M1, VECTOR_M2, VECTOR_START, Loop
@@ -34,26 +35,19 @@ def draw(pwm_cycle: Trace, start: Trace, path: Path) -> None:
     Raises
     ------
     SimulationError
-        If matplotlib is not installed, or the trace is shorter than six periods.
-    OSError
-        If the picture cannot be written.
+        If the trace is shorter than six periods.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
     periods = pwm_cycle.clocks(Kind.CYCLE, PHASES[0][0])
     if periods.size < 6:
         raise SimulationError("the trace is shorter than six PWM periods")
     begin, period = int(periods[1]), int(periods[2] - periods[1])
-    figure = Figure(figsize=(12.0, 16.0), dpi=110, layout="constrained")
+    figure = new_figure(12.0, 16.0, 110)
     plots = figure.subplots(4, 1, height_ratios=(11, 6, 5, 5))
     _timing(plots[0], pwm_cycle, begin, begin + 2 * period)
     _scan(plots[1], pwm_cycle, begin, begin + period + period // 2)
     _scope(plots[2], pwm_cycle, begin, begin + 4 * period)
     _start(plots[3], start)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    write_figure(figure, path)
 
 
 def margins(trace: Trace, loop: Loop) -> NDArray[np.int64]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.figure import PictureError, new_figure
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.view import scene
@@ -74,13 +75,15 @@ def draw(rrd: Path, png: Path) -> None:
     Raises
     ------
     RecordingError
-        If the file cannot be read or contains no telemetry, or matplotlib is not installed.
+        If the file cannot be read or contains no telemetry.
+    PictureError
+        If matplotlib is not installed.
     OSError
         If the picture cannot be written.
     """
     result = figure(rrd)
     png.parent.mkdir(parents=True, exist_ok=True)
-    result.savefig(png, dpi=_DPI, format="png")
+    result.savefig(png, format="png")
 
 
 def figure(rrd: Path) -> Figure:
@@ -125,15 +128,10 @@ def _figure(
     span: tuple[float, float],
     path_span: tuple[float, float] | None,
 ) -> Figure:
-    try:
-        from matplotlib.figure import Figure
-        from matplotlib.layout_engine import ConstrainedLayoutEngine
-    except ImportError as error:
-        raise RecordingError(f"matplotlib cannot be imported ({error}); install it: pip install matplotlib") from None
-    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
     width, height = _SIZE
     path_width = _PATH_WIDTH if path_span is not None else 0.0
-    result = Figure(figsize=(width + path_width, height), layout=layout, facecolor="white")
+    result: Figure = new_figure(width + path_width, height, _DPI)
+    result.set_layout_engine("constrained", w_pad=0.12, h_pad=0.08)
     widths = [width / len(residuals)] * len(residuals) + ([path_width] if path_width else [])
     subplots = result.add_gridspec(len(_ROWS) + 1, len(widths), height_ratios=[3, 3, 2], width_ratios=widths)
     grid = np.empty((len(_ROWS) + 1, len(residuals)), dtype=object)
@@ -254,7 +252,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     try:
         draw(args.recording, args.picture)
-    except (RecordingError, OSError) as error:
+    except (RecordingError, PictureError, OSError) as error:
         print(f"servo_twin.picture: {error}", file=sys.stderr)
         return 1
     return 0

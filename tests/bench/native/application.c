@@ -1,4 +1,4 @@
-/* application.c - the complete two-axis application as a chip would run it, for its size. */
+/* application.c - the complete two-axis application as on a chip, to measure its size. */
 #include "app/servo.h"
 #include "bench_board.h"
 #include "machine.h"
@@ -6,7 +6,7 @@
 static servo_t servo;
 static hal_t hal;
 
-/* What the interrupt controller would call. */
+/* Handlers called by the interrupt controller. */
 typedef void (*interrupt_t)(void);
 void application_m1(void);
 void application_m2(void);
@@ -34,7 +34,7 @@ int main(void)
     servo_init(&servo, &hal);
     for (volatile uint32_t i = 0;; i++) {
         if (i < 6U) {
-            application_vectors[i](); /* stands for the interrupt, so that the linker keeps them all */
+            application_vectors[i](); /* in place of the interrupts, so that the linker keeps all handlers */
         }
         servo_background(&servo);
     }

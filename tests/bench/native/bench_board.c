@@ -40,7 +40,7 @@ static sin_cos_t rotor(const bench_motor_t *motor)
     return sin_cos((frac16_t)(uint16_t)((uint32_t)angle & 0xFFFFU));
 }
 
-/* The duties of the last period drive the currents; i_q turns the shaft. */
+/* The duties of the last period drive the currents; i_q accelerates the shaft. */
 static void run_motor(bench_motor_t *motor, const bench_registers_t *registers, uint16_t bus)
 {
     const sin_cos_t at = rotor(motor);
@@ -65,8 +65,8 @@ static void run_motor(bench_motor_t *motor, const bench_registers_t *registers, 
 
 static uint32_t timer(uint32_t period) { return period / 64U * TICKS_OF_64 + period % 64U * TICKS_OF_64 / 64U; }
 
-/* The first B edge on the way from one position to another [counts], if there is one. B changes between an odd count
- * and the even one above it. */
+/* The first B edge between two positions [counts], if there is one. B changes between an odd count and the even count
+ * above it. */
 static bool edge_between(int32_t from, int32_t to, int32_t *edge)
 {
     const int32_t low = (from < to) ? from : to;

@@ -1,8 +1,8 @@
-/* bench_board.h - a board for measuring the firmware on: the hal functions cost about the register accesses that they
- * would be on a chip, and behind them two motors turn in integer arithmetic, the same on every machine.
+/* bench_board.h - a board to measure the firmware: the hal functions cost about as much as the register accesses on
+ * a chip; two motors are simulated in integer arithmetic, with the same results on every machine.
  *
- * The motors are simple (no dead time, no saliency, no noise), but the loop is closed: codes, counts and edges change
- * as they do on a moving drive, and so do the ways that the firmware takes.
+ * The motors are simple (no dead time, no saliency, no noise), but the loop is closed: codes, counts, edges and
+ * branches of the firmware vary as in a drive in motion.
  */
 #ifndef BENCH_BOARD_H
 #define BENCH_BOARD_H
@@ -10,7 +10,7 @@
 #include "hal/hal.h"
 #include "math/frac.h"
 
-/* What an interrupt finds in the registers of one axis. */
+/* Register contents of one axis that an interrupt reads. */
 typedef struct {
     adc_pair_t currents;
     adc_pair_t offsets;
@@ -27,17 +27,17 @@ typedef struct {
 } bench_registers_t;
 
 typedef struct {
-    int32_t i_alpha; /* over the full-scale current, 27 fraction bits */
+    int32_t i_alpha; /* relative to the full-scale current, 27 fraction bits */
     int32_t i_beta;
-    frac32_t speed;     /* over the full-scale speed */
-    int32_t angle;      /* counts with 16 fraction bits, within one turn of either sign */
+    frac32_t speed;     /* relative to the full-scale speed */
+    int32_t angle;      /* counts with 16 fraction bits, within +-1 revolution */
     uint32_t edge_time; /* of the last edge, timer ticks */
 } bench_motor_t;
 
 struct hal {
     bench_registers_t axis[HAL_AXES];
     uint16_t bus;
-    uint16_t serial; /* received byte behind a flag in bit 8 */
+    uint16_t serial; /* received byte, with a flag in bit 8 */
     uint16_t sent;
     uint16_t watchdog;
     uint16_t monitor[HAL_ANALOG_OUTS];
@@ -49,7 +49,7 @@ struct hal {
 /* Everything at rest, 24 V. */
 void bench_board_init(hal_t *hal);
 
-/* One PWM period goes by. */
+/* Advance by one PWM period. */
 void bench_board_step(hal_t *hal);
 
 #endif

@@ -1,8 +1,8 @@
 /* cost.c - instructions of the interrupts while both axes move in every mode.
  *
- * The image says what to run: with the features of the configuration (0), with all of them (1), or without encoders (2);
- * which phases (a bit each), and, in units of 16, the most PWM periods that a phase may take. Prints "PHASE KIND NUMBER LEAST MOST SUM" in
- * hexadecimal for all that was counted, and at the end "axis NUMBER SUBSTATE FAULTS SPEED POSITION".
+ * The image selects the run: features of the configuration (0), all features (1), or no encoders (2); the phases (a bit
+ * each); and the maximum length of a phase in units of 16 PWM periods. Prints "PHASE KIND NUMBER MIN MAX SUM" in
+ * hexadecimal for each count, and at the end "axis NUMBER SUBSTATE FAULTS SPEED POSITION".
  */
 #include "cost.h"
 
@@ -21,17 +21,17 @@
 #define ALL_FEATURES 1U
 #define WITHOUT_ENCODERS 2U
 
-#define SILENCE 64U /* PWM periods after which a phase begins to count: the last command is through */
+#define SILENCE 64U /* PWM periods before the count of a phase begins: the last command is processed */
 
 typedef struct {
     uint16_t mode;
     uint16_t periods;
-    int32_t position; /* from where the shaft is, counts */
+    int32_t position; /* relative to the present position, counts */
     frac32_t speed;
     frac16_t i_q;
 } phase_t;
 
-/* What a servo does, and last the voltage limit. Axis 2 turns the other way. */
+/* Phases of normal operation, and last the voltage limit. Axis 2 rotates in the opposite direction. */
 static const phase_t phases[] = {
     {CONTROL_MODE_POSITION, 800, 0, 0, 0},
     {CONTROL_MODE_POSITION, 4800, 20000, 0, 0},
@@ -82,7 +82,7 @@ static void report(uint16_t phase)
     }
 }
 
-/* With the call and the return. */
+/* Including call and return. */
 static uint32_t measured(void (*isr)(servo_t *))
 {
     const uint32_t begin = machine_clock();
@@ -90,7 +90,7 @@ static uint32_t measured(void (*isr)(servo_t *))
     return machine_instructions(begin, machine_clock());
 }
 
-/* As if the rotor had been found: the state machine goes on from here by itself. */
+/* State after a successful rotor search; the state machine continues from here. */
 static void put_into_spin(axis_t *axis)
 {
     axis->sm.state = STATE_RUN;
@@ -101,7 +101,7 @@ static void put_into_spin(axis_t *axis)
     hal_pwm_enable(&hal, axis->index, true);
 }
 
-/* As if the start-up had been through: the shaft turns, and the observer knows it. */
+/* State after a successful start-up: the shaft rotates and the observer is locked. */
 static void put_into_observed_spin(axis_t *axis, frac32_t speed)
 {
     const pll_config_t *pll = &axis->config->pll;
@@ -154,9 +154,9 @@ int main(void)
             (machine_image(0) == WITHOUT_ENCODERS) ? FEEDBACK_KIND_OBSERVER : FEEDBACK_KIND_ENCODER;
         if (machine_image(0) == ALL_FEATURES) {
             servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
-            servo.axis[i].home.state = HOME_STATE_KNOWN; /* else the shaft goes nowhere */
+            servo.axis[i].home.state = HOME_STATE_KNOWN; /* otherwise set-points would be refused */
         }
-        servo.parameter.speed_limit[i] = RAD_PER_S(419); /* more than the voltage allows */
+        servo.parameter.speed_limit[i] = RAD_PER_S(419); /* above the voltage limit */
         servo.parameter.over_speed[i] = RAD_PER_S(520);
     }
     const uint16_t wanted = machine_image(1);

@@ -1,4 +1,4 @@
-/* cost.h - instructions of what is called again and again: least, most, sum and number, per phase of the run. */
+/* cost.h - instructions of repeated calls: minimum, maximum, sum and number, per phase of the run. */
 #ifndef BENCH_COST_H
 #define BENCH_COST_H
 
@@ -6,7 +6,7 @@
 
 #include "app/servo.h"
 
-/* What is counted: both interrupts in each PWM period of a slow tick, axis_fast and axis_slow. */
+/* Counted calls: both interrupts in each PWM period of a slow tick, axis_fast and axis_slow. */
 typedef uint16_t cost_kind_t;
 #define COST_INTERRUPT(period, second) ((cost_kind_t)(2U * (period) + (second)))
 #define COST_FAST COST_INTERRUPT(SERVO_SLOW_PERIODS, 0U)

@@ -1,5 +1,5 @@
-/* cost_loops.c - counts the loops within the interrupts. The linker puts these functions in between
- * (-Wl,--wrap=axis_fast,--wrap=axis_slow); the interrupts around them then cost more than they do alone. */
+/* cost_loops.c - counts the loops within the interrupts. The linker inserts these functions
+ * (-Wl,--wrap=axis_fast,--wrap=axis_slow); the interrupts then cost more than without them. */
 #include "cost.h"
 #include "drive/axis.h"
 #include "machine.h"

@@ -1,5 +1,5 @@
-/* cost_recorder.c - instructions of a call of recorder_sample() in its loop: what it adds to an interrupt. Prints
- * "CASE LEAST MOST SUM NUMBER" in hexadecimal. */
+/* cost_recorder.c - instructions that a call of recorder_sample() adds to an interrupt. Prints
+ * "CASE MIN MAX SUM NUMBER" in hexadecimal. */
 #include <stddef.h>
 
 #include "comm/recorder.h"
@@ -17,7 +17,7 @@
 typedef struct {
     uint8_t variables;
     uint8_t size;
-    uint8_t trigger; /* of the first one */
+    uint8_t trigger; /* of the first slot */
     uint8_t divider;
     uint8_t started;
 } case_t;
@@ -47,7 +47,7 @@ static void nothing(void) {}
 
 static void sample(void) { recorder_sample(&recorder); }
 
-static void (*volatile measured)(void); /* the compiler does not know which */
+static void (*volatile measured)(void); /* volatile: not inlined by the compiler */
 
 static uint32_t instructions(void (*function)(void))
 {
@@ -85,7 +85,7 @@ static void configure(const case_t *one)
         to = put_address(to, TSA_VARIABLES_BASE + 4U * k);
         *to++ = one->size;
         *to++ = (k == 0U) ? one->trigger : 0U;
-        *to++ = 1; /* threshold, which 0 does not reach */
+        *to++ = 1; /* threshold that is not reached by 0 */
         *length = (uint8_t)(to - length - 1);
     }
     if (one->started != 0U) {

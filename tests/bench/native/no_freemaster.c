@@ -1,4 +1,4 @@
-/* no_freemaster.c - in place of comm/: an application without a server, for its size. */
+/* no_freemaster.c - in place of comm/: an application without a server, to measure its size. */
 #include "comm/freemaster.h"
 
 void freemaster_init(freemaster_t *server, const freemaster_app_t *app)

@@ -1,4 +1,4 @@
-/* units.c - what the PRICES charges of the firmware cost: 32-bit numbers, low byte first, after 3 bytes of the image. */
+/* units.c - prices of the PRICES charges of the firmware: 32-bit numbers, low byte first, after 3 bytes. */
 #include <stdbool.h>
 
 #include "machine.h"

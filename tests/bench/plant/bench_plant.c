@@ -1,5 +1,5 @@
-/* bench_plant.c - what one PWM period of both axes costs: the plant at switching level, the averaged plant, and their
- * ratio. The quickest of many blocks counts, because others use the machine as well.
+/* bench_plant.c - CPU time of one PWM period of both axes: the plant at switching level, the averaged plant, and
+ * their ratio. The fastest of many blocks is used, because other processes disturb.
  *
  *   bench_plant [PERIODS [CASE]]
  */
@@ -15,8 +15,8 @@
 #define PERIOD 6250u
 #define DEAD 100u
 #define EDGES 24u  /* per period, both axes */
-#define GROUP 8u   /* periods whose edges are made in advance */
-#define BLOCK 8u   /* groups in a block: some electrical angle has to go by */
+#define GROUP 8u   /* periods whose edges are computed in advance */
+#define BLOCK 8u   /* groups in a block: a significant change of the electrical angle */
 
 typedef struct {
     uint64_t clock;
@@ -31,7 +31,7 @@ typedef struct {
 
 static const case_t cases[] = {{0.0, 0.0}, {4.0, 0.05}, {11.0, 0.05}, {4.0, 0.0}, {11.0, 0.0}};
 
-/* The quickest block, once the shafts turn. */
+/* The fastest block at speed. */
 typedef struct {
     double least, spent; /* [ns] */
 } meter_t;
@@ -61,7 +61,7 @@ static int by_clock(const void *a, const void *b)
     return (x->clock > y->clock) - (x->clock < y->clock);
 }
 
-/* Voltage across the rotor's axis, as a controller would give it. */
+/* Voltage on the q axis, like that of a controller. */
 static void duties(double theta_e, double volts, double duty[3])
 {
     double c;
@@ -88,7 +88,7 @@ static unsigned cycle(edge_t *edge, int axis, const double duty[3], uint64_t sta
     return count;
 }
 
-/* Edges of the next periods, axis 2 half a period behind. */
+/* Edges of the next periods, axis 2 half a period later. */
 static unsigned group(const switching_t *plant, double volts, uint64_t start, edge_t *edge)
 {
     unsigned count = 0;

@@ -20,7 +20,7 @@
 #include "sensing/rotor_search.h"
 #include "sensing/speed_observer.h"
 
-/* Steps that a function with a memory is taken through in one round. */
+/* Steps of a function with a state in one round. */
 #define STEPS 16
 
 /* Each takes up to six hashes. */
@@ -31,7 +31,7 @@ typedef struct {
     uint32_t value;
 } run_t;
 
-/* ---- numbers: drawn one by one, because C leaves the order of arguments open ------------------------------------ */
+/* ---- numbers: drawn one by one, as C does not define the order of arguments ------------------------------------- */
 
 static uint32_t draw(run_t *run)
 {
@@ -43,7 +43,7 @@ static uint32_t draw(run_t *run)
     return x;
 }
 
-/* Every fourth number is one from the ends or the middle of the range, the others are of every magnitude. */
+/* Every fourth number is at the ends or in the middle of the range, the others have any magnitude. */
 static int32_t draw32(run_t *run)
 {
     static const int32_t special[8] = {0,     1, -1, INT32_MAX, -INT32_MAX - 1, INT32_C(0x40000000), INT32_C(0x8000),
@@ -337,7 +337,7 @@ static void friction(run_t *run)
     }
 }
 
-/* With a configuration and a current limit that stay. */
+/* With a constant configuration and current limit. */
 static void weakening(run_t *run)
 {
     field_weakening_config_t config;
@@ -361,7 +361,7 @@ static void weakening(run_t *run)
     }
 }
 
-/* The one that is configured, or any up to 32000 counts. */
+/* The configured number, or any up to 32000 counts. */
 static encoder_config_t draw_encoder(run_t *run)
 {
     encoder_config_t config = draw_axis(run)->encoder;
@@ -443,7 +443,7 @@ static void observer(run_t *run)
     }
 }
 
-/* A shaft that moves now and then: a little or a lot, either way or, by habit, always the same way. */
+/* A shaft that moves sometimes: by a small or large distance, in random or always the same direction. */
 static int32_t draw_twitch(run_t *run, uint32_t habit)
 {
     const uint32_t kind = draw(run);
@@ -509,7 +509,7 @@ static void currents(run_t *run)
     }
 }
 
-/* Within the ranges that a board takes (servo_msgs_py/axis_config.toml). */
+/* Within the ranges that a board accepts (servo_msgs_py/axis_config.toml). */
 static void winding(run_t *run)
 {
     winding_model_config_t config;
@@ -548,7 +548,7 @@ static void draw_bytes(run_t *run, uint8_t *data, uint16_t size)
     }
 }
 
-/* Request of a client that has the password. */
+/* Request of a client that knows the password. */
 static void prove(const access_t *access, const uint8_t *password, uint8_t *key)
 {
     uint8_t message[2U * ACCESS_SALT_SIZE + SHA1_SIZE];
@@ -588,7 +588,7 @@ static void passwords(run_t *run)
     }
 }
 
-/* Lines of the log, also of what no recorded run has: late loops, lost bytes, a watchdog. */
+/* Lines of the log, including those that no recorded run has: late loops, lost bytes, a watchdog. */
 static void log_lines(run_t *run)
 {
     static freemaster_t server;

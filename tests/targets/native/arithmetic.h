@@ -1,5 +1,5 @@
-/* arithmetic.h - the functions of math/, control/, sensing/ and of current sensing on numbers that no run brings about:
- * the ends of their ranges and random ones in between, the same on every machine. */
+/* arithmetic.h - the functions of math/, control/, sensing/ and of current sensing with numbers that do not occur in
+ * runs: the ends of their ranges and random numbers in between, the same on every machine. */
 #ifndef TARGETS_ARITHMETIC_H
 #define TARGETS_ARITHMETIC_H
 

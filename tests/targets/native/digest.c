@@ -35,7 +35,7 @@ static bool in_snapshot(const tsa_entry_t *entry)
     return entry->kind == TSA_KIND_RO && entry->address >= begin && entry->address < begin + sizeof(snapshot_t);
 }
 
-/* Where a scalar of the snapshot is; false for other variables and for the block as a whole. */
+/* Offset of a scalar of the snapshot; false for other variables and for the complete block. */
 static bool find_field(uint16_t i, digest_field_t *field)
 {
     const tsa_entry_t entry = tsa_entry(&servo_variables, i);

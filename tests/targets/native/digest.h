@@ -1,4 +1,4 @@
-/* digest.h - running check value over everything that a core does, equal on every machine. */
+/* digest.h - check value over all outputs of a core, equal on every machine. */
 #ifndef TARGETS_DIGEST_H
 #define TARGETS_DIGEST_H
 
@@ -19,7 +19,7 @@ typedef struct {
 
 typedef struct {
     uint32_t value;
-    uint32_t tick;    /* of the last snapshot that was taken in */
+    uint32_t tick;    /* of the last included snapshot */
     uint32_t periods; /* M2 calls so far */
     digest_field_t field[DIGEST_FIELDS_MAX]; /* scalars of the snapshot, kept because a search of the table is slow */
     uint16_t fields;
@@ -28,8 +28,8 @@ typedef struct {
 /* False if the snapshot has more scalars than DIGEST_FIELDS_MAX. */
 bool digest_init(digest_t *digest);
 
-/* After each call: its kind, how many of the recorded inputs were left over or asked for in vain, its words out, and
- * the snapshot if it is a new one. */
+/* After each call: its kind, the numbers of recorded inputs not read and of missing inputs, its words out, and the
+ * snapshot if it is new. */
 void digest_call(digest_t *digest, call_t call, uint16_t axis, uint16_t left, uint16_t missing, const out_log_t *out,
                  const servo_t *servo);
 

@@ -1,8 +1,8 @@
-/* exchange.h - what crosses hal/hal.h during one call of an entry point, as 16-bit words.
+/* exchange.h - inputs and outputs through hal/hal.h during one call of an entry point, as 16-bit words.
  *
- * Words in are what the core read from the board, in the order in which it asked. Words out are what it did to the
- * board: a head (operation | axis << 8) and the operands. The recorder notes both on a running board; the replay board
- * answers from the first and notes the second.
+ * Words in are the values read by the core, in the order of the reads. Words out are its operations on the board: a
+ * head (operation | axis << 8) and the operands. The recorder stores both on a running board; the replay board returns
+ * the words in and stores the words out.
  */
 #ifndef TARGETS_EXCHANGE_H
 #define TARGETS_EXCHANGE_H
@@ -33,7 +33,7 @@ typedef enum {
     OUT_MONITOR, /* value */
     OUT_ENABLE_INPUT, /* used */
     OUT_HOLDING, /* release */
-    OUT_DONE,    /* the fast loop is through */
+    OUT_DONE,    /* the fast loop has ended */
     OUT_ERASE,   /* sector */
     OUT_PROGRAM, /* word, value: low half, high half */
 } out_t;
@@ -41,7 +41,7 @@ typedef enum {
 #define EXCHANGE_IN_MAX 64
 #define EXCHANGE_OUT_MAX 96
 
-/* Words out of one call. What does not fit is dropped but counted, so the digest depends on it. */
+/* Words out of one call. Words beyond the buffer are discarded but counted, so the digest depends on them. */
 typedef struct {
     uint16_t word[EXCHANGE_OUT_MAX];
     uint16_t size;

@@ -9,7 +9,7 @@
 
 #define CODE_MAX 4095U
 
-/* A vector that grows. */
+/* A growing vector. */
 typedef struct {
     uint8_t *byte;
     size_t size;
@@ -21,12 +21,12 @@ typedef struct {
     bool in_call;
     const char *problem;
     uint32_t check_every;
-    uint32_t disturb; /* one read in so many */
+    uint32_t disturb; /* one read in this number is disturbed */
     uint16_t disturbed_axes;
     uint64_t random;
     bool index_lost;
     uint16_t index_seen[HAL_AXES];
-    uint16_t index_passed[HAL_AXES]; /* while they were lost */
+    uint16_t index_passed[HAL_AXES]; /* index count while pulses are lost */
     trace_call_t call;
     out_log_t out;
     bytes_t image;
@@ -162,7 +162,7 @@ static uint16_t code_of(uint16_t axis, uint16_t code)
     return ((random >> 16) % 4U == 0U) ? (uint16_t)((random & 1U) * CODE_MAX) : (uint16_t)(random & CODE_MAX);
 }
 
-/* On the average what it is, or else the faults of the bus would end the run. */
+/* The mean is unchanged, otherwise faults of the bus would end the run. */
 static uint16_t bus_code_of(uint16_t code)
 {
     if (!disturbed(UINT16_MAX)) {
@@ -263,7 +263,7 @@ static void end(const servo_t *servo)
 
 /* ---- entry points ----------------------------------------------------------------------------------------------- */
 
-/* The linker's --wrap: who calls NAME reaches __wrap_NAME, and the original is __real_NAME. */
+/* Linker option --wrap: a call of NAME is a call of __wrap_NAME; the original is __real_NAME. */
 void __real_servo_init(servo_t *servo, hal_t *hal);
 void __real_servo_m1_isr(servo_t *servo);
 void __real_servo_m2_isr(servo_t *servo);
@@ -472,7 +472,7 @@ bool __wrap_hal_serial_get(hal_t *hal, uint8_t *byte)
 
 bool __wrap_hal_flash_present(hal_t *hal) { return __real_hal_flash_present(hal); }
 
-/* The replay keeps its own data flash, which begins erased as this one does: what is read is no news. */
+/* The replay has its own data flash, which also begins erased, so reads need not be recorded. */
 uint32_t __wrap_hal_flash_read(hal_t *hal, uint16_t word) { return __real_hal_flash_read(hal, word); }
 
 hal_flash_t __wrap_hal_flash_result(hal_t *hal)

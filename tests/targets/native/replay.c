@@ -1,8 +1,8 @@
-/* replay.c - feed a recording to the core, and print check values of all that comes out.
+/* replay.c - feed a recording to the core and print check values of all outputs.
  *
- *   =VALUE        after every so many periods
- *   ?PERIOD ...   each call of the periods to be printed: kind, axis, words left, words missing, words out
- *   !FIELD VALUE  after such a call: the snapshot's scalars by their index in the table of variables
+ *   =VALUE        after each interval of the header
+ *   ?PERIOD ...   each call of the periods to be printed: kind, axis, words not read, words missing, words out
+ *   !FIELD VALUE  after such a call: scalars of the snapshot by their index in the table of variables
  *   end VALUE     over everything
  */
 #include <stddef.h>
@@ -25,7 +25,7 @@ static void print_call(uint32_t period)
     text_long("?", period, " ");
     text_word("", (uint16_t)call.call, " ");
     text_word("", call.axis, " ");
-    text_word("", hal.left, " ");
+    text_word("", hal.remaining, " ");
     text_word("", hal.missing, "");
     for (uint16_t i = 0; i < hal.out.size && i < EXCHANGE_OUT_MAX; i++) {
         text_word(" ", hal.out.word[i], "");
@@ -61,7 +61,7 @@ bool replay_recording(void)
             break;
         }
         const bool fresh = servo.snapshot.tick != digest.tick;
-        digest_call(&digest, call.call, call.axis, hal.left, hal.missing, &hal.out, &servo);
+        digest_call(&digest, call.call, call.axis, hal.remaining, hal.missing, &hal.out, &servo);
         if (period >= reader.print_first && period <= reader.print_last) {
             print_call(period);
             if (fresh) {

@@ -4,7 +4,7 @@
 
 #include <stdbool.h>
 
-/* Replay it; false if the image is none. */
+/* Replay the image; false if it is not a recording. */
 bool replay_recording(void);
 
 #endif

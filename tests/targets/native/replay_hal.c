@@ -6,11 +6,11 @@
 
 static uint16_t take(hal_t *hal)
 {
-    if (hal->left == 0U) {
+    if (hal->remaining == 0U) {
         hal->missing++;
         return 0;
     }
-    hal->left--;
+    hal->remaining--;
     return *hal->in++;
 }
 
@@ -118,14 +118,14 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
     return take(hal) != 0U;
 }
 
-/* A command has its effect at once: the firmware reads after its end only. */
+/* A command has its effect at once, as the firmware reads only after its end. */
 bool hal_flash_present(hal_t *hal)
 {
     (void)hal;
     return true;
 }
 
-/* NULL behind a set. */
+/* NULL after the end of a set. */
 static uint32_t *flash_word(hal_t *hal, uint16_t word)
 {
     const uint16_t index = (uint16_t)(word % STORED_ROOM);
@@ -217,7 +217,7 @@ void replay_power_on(hal_t *hal) { (void)memset(hal->flash, 0xFF, sizeof hal->fl
 void replay_load(hal_t *hal, const trace_call_t *call)
 {
     hal->in = call->in;
-    hal->left = call->size;
+    hal->remaining = call->size;
     hal->missing = 0;
     hal->out.size = 0;
 }

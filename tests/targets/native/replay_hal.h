@@ -1,4 +1,4 @@
-/* replay_hal.h - a board that answers with recorded words and notes what it is told. */
+/* replay_hal.h - a board that returns recorded inputs and stores the outputs. */
 #ifndef TARGETS_REPLAY_HAL_H
 #define TARGETS_REPLAY_HAL_H
 
@@ -7,17 +7,17 @@
 #include "trace.h"
 
 struct hal {
-    const uint16_t *in; /* words of this call that are still to come */
-    uint16_t left;
-    uint16_t missing; /* words asked for beyond the recorded ones; they read as 0 */
+    const uint16_t *in; /* words of this call that have not been read */
+    uint16_t remaining;
+    uint16_t missing; /* reads beyond the recorded words, which return 0 */
     out_log_t out;
-    uint32_t flash[STORAGE_COPIES][STORED_WORDS]; /* words behind a set stay erased */
+    uint32_t flash[STORAGE_COPIES][STORED_WORDS]; /* words after a set stay erased */
 };
 
 /* An erased data flash. */
 void replay_power_on(hal_t *hal);
 
-/* Hand the words of a recorded call to the board. */
+/* Pass the words of a recorded call to the board. */
 void replay_load(hal_t *hal, const trace_call_t *call);
 
 /* Call the entry point; false for a call that does not exist. */

@@ -1,6 +1,6 @@
-/* replay_main.c - feed a recording to the core, or numbers to its functions, by what the image is.
+/* replay_main.c - feed a recording to the core, or numbers to its functions, depending on the image.
  *
- * It is a recording (trace.h), or "SRVA", the seed and the rounds of the arithmetic as 32-bit numbers, low byte first.
+ * The image is a recording (trace.h), or "SRVA", the seed and the rounds of the arithmetic as 32-bit numbers, low byte first.
  *   =VALUE        for every group of functions
  *   end VALUE     over everything
  */
@@ -12,7 +12,7 @@
 #include "replay.h"
 #include "text.h"
 
-/* A machine with little memory has the one or the other, as the image asks. */
+/* A machine with little memory holds one of the two, selected by the image. */
 #pragma weak arithmetic_groups
 #pragma weak arithmetic_digest
 #pragma weak replay_recording

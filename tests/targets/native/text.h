@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-/* Eight or four digits behind `head`, which may be empty; `tail` ends it. */
+/* Eight or four digits after `head`, which may be empty, followed by `tail`. */
 void text_long(const char *head, uint32_t value, const char *tail);
 void text_word(const char *head, uint16_t value, const char *tail);
 

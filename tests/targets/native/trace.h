@@ -1,4 +1,4 @@
-/* trace.h - a recording as a stream of bytes: which entry points were called, and the words in of each call.
+/* trace.h - a recording as a stream of bytes: the called entry points, and the words in of each call.
  *
  *   header   "SRVT", then three 32-bit numbers, low byte first: periods between two check values, first and last period
  *            of which every call is to be printed
@@ -21,7 +21,7 @@ typedef struct {
     uint16_t in[EXCHANGE_IN_MAX];
 } trace_call_t;
 
-/* Fetch byte `at` of the recording. */
+/* Read byte `at` of the recording. */
 typedef uint8_t (*trace_fetch_t)(uint32_t at);
 
 typedef struct {
@@ -31,7 +31,7 @@ typedef struct {
     uint32_t at;
 } trace_reader_t;
 
-/* False when the bytes are no recording. */
+/* False if the bytes are not a recording. */
 bool trace_reader_open(trace_reader_t *reader, trace_fetch_t fetch);
 
 /* False at the end. */

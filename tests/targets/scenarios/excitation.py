@@ -52,7 +52,7 @@ def imposed(rig: Rig) -> None:
     rig.set("cmd.i_q", 3.0)
     rig.run(0.1)
     rig.set("cmd.speed", 0.0, -250.0)
-    rig.until("a shaft too fast for a short", lambda: rig.get("axis2.speed") < -240.0)
+    rig.until("above the speed limit for shorting the windings", lambda: rig.get("axis2.speed") < -240.0)
     rig.set_raw("cmd.mode", SPEED, SPEED)
     rig.run(0.05)
 

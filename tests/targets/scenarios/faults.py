@@ -221,7 +221,7 @@ def lost_index(rig: Rig) -> None:
     rig.lose_index(True)
     rig.until("index lost", lambda: all("ENCODER" in rig.faults(k) for k in (0, 1)))
     rig.lose_index(False)
-    rig.lock(0)  # shortens the coasting
+    rig.lock(0)  # shortens coasting
     rig.lock(1)
     rig.set("cmd.clear_faults", 1)
     rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])

@@ -50,7 +50,7 @@ def reenabled(rig: Rig) -> None:
     stop(rig)
 
 
-def once_more(rig: Rig) -> None:
+def second_alignment(rig: Rig) -> None:
     """A second alignment, which keeps the position; the other axis is off."""
     ready(rig)
     for _ in range(2):
@@ -190,8 +190,8 @@ def trajectory(rig: Rig) -> None:
     rig.run(0.01)
     refused(point(1, 8, 0.0))  # in the past
     refused(point(0, 600, 0.2), point(0, 600, 0.2))  # not later
-    refused(point(0, 800, 0.2), point(0, 808, 0.2))  # too close to the point before
-    refused(point(0, 2_000_000, 0.2))  # too long after the point before
+    refused(point(0, 800, 0.2), point(0, 808, 0.2))  # too close to the previous point
+    refused(point(0, 2_000_000, 0.2))  # too long after the previous point
     refused(point(0, 800, 500_000.0))  # too far
     refused(point(0, 800, 30.0))  # too fast between the points
     refused(point(0, 800, 0.2, 400.0))  # too fast
@@ -216,7 +216,7 @@ def trajectory(rig: Rig) -> None:
     stop(rig)
 
 
-def weakened(rig: Rig) -> None:
+def field_weakening(rig: Rig) -> None:
     """Field weakening above the base speed: load, a sag of the bus to the limit, and switching it off."""
     spin(rig)
     rig.set("param.features", features("FIELD_WEAKENING"))

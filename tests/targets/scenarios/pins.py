@@ -84,7 +84,7 @@ def pins(rig: Rig) -> None:
     rig.run(0.01)
 
 
-def lost(rig: Rig) -> None:
+def failed_searches(rig: Rig) -> None:
     """Failed rotor searches: dead encoder, reversed encoder, load too large, open motor cable."""
     ready(rig)
     _fit(rig)
@@ -100,5 +100,5 @@ def lost(rig: Rig) -> None:
     rig.until("both cleared", lambda: rig.states() == ["STOP", "STOP"])
     rig.run(0.09)
     rig.set("cmd.enable", 1)
-    rig.until("dropped, and without current", lambda: rig.states() == ["FAULT", "FAULT"])
+    rig.until("axis 1 load too large, axis 2 open cable", lambda: rig.states() == ["FAULT", "FAULT"])
     rig.run(0.01)

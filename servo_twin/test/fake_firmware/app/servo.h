@@ -1,4 +1,4 @@
-/* servo.h - stands in for the application: it writes down when and how the chip calls it. */
+/* servo.h - replaces the application: records times and arguments of the calls by the chip. */
 #ifndef FAKE_SERVO_H
 #define FAKE_SERVO_H
 
@@ -11,7 +11,7 @@ enum { CALL_M1, CALL_M2, CALL_EDGE, CALL_OVER_CURRENT, CALL_BACKGROUND };
 typedef struct {
     uint64_t time_ns;
     int kind, axis;
-    adc_pair_t currents, offsets; /* of axis 1 for CALL_M1, of axis 2 for CALL_M2 (offsets: of the other one) */
+    adc_pair_t currents, offsets; /* of axis 1 for CALL_M1, of axis 2 for CALL_M2 (offsets: of the other axis) */
     uint16_t bus;
 } fake_call_t;
 
@@ -21,7 +21,7 @@ typedef struct {
     int calls;
     bool log_background;
     bool deaf;                     /* do not fetch received bytes */
-    bool echo;                     /* send them back */
+    bool echo;                     /* return received bytes */
     int16_t duty[HAL_AXES][3];     /* written in every interrupt of the axis */
     bool on[HAL_AXES];
     edge_capture_t capture;        /* of the last edge interrupt */

@@ -1,4 +1,4 @@
-/* machine.h - the host as the machine of cost.c: its clock counts what the firmware is charged for. */
+/* machine.h - the host as the machine of cost.c: its clock counts the charges of the firmware. */
 #ifndef BENCH_HOST_MACHINE_H
 #define BENCH_HOST_MACHINE_H
 

@@ -1,4 +1,4 @@
-/* machine.h - the host as a machine for target programs: console is stdout, the image comes through stdin. */
+/* machine.h - the host as a machine for target programs: console is stdout, the image is read from stdin. */
 #ifndef MACHINE_H
 #define MACHINE_H
 
@@ -6,7 +6,7 @@
 
 void machine_start(void);
 
-/* Data that the program was started with; 0 behind its end. */
+/* Data passed at the start of the program; 0 after its end. */
 uint8_t machine_image(uint32_t at);
 
 void machine_print(const char *text);

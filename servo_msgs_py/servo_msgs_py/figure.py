@@ -1,0 +1,42 @@
+"""Pictures without a window; matplotlib is imported when one is drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+class PictureError(ValueError):
+    """A picture cannot be drawn; the message has reason and remedy."""
+
+
+def new_figure(width: float, height: float, dpi: int = 100) -> Any:
+    """Figure of matplotlib of this size [inch] with automatic layout.
+
+    Raises
+    ------
+    PictureError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise PictureError(f"pictures need matplotlib ({error}): pip install matplotlib") from None
+    return Figure(figsize=(width, height), dpi=dpi, layout="constrained", facecolor="white")
+
+
+def write_figure(figure: Any, path: Path) -> None:
+    """Write a figure in the format of the extension, and create its folder.
+
+    Raises
+    ------
+    PictureError
+        If the format is not supported.
+    OSError
+        If the file cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        figure.savefig(path)
+    except ValueError as error:
+        raise PictureError(f"{path}: {error}") from None
