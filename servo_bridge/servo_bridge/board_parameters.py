@@ -25,7 +25,7 @@ class BoardParameters:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     write_raw : callable
         Starts to write all elements of a variable as firmware integers.
     changed : callable

@@ -41,7 +41,7 @@ class StorageService:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     node : Node
         Owner of the services.
     """

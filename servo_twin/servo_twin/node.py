@@ -383,11 +383,12 @@ class ServoTwin(Node):
     def _compare(self, pair: Pair) -> Residual | None:
         with self._lock:
             self._fault = pair.fault
+            unknown = self._unknown()
             if pair.fault or pair.difference:
                 self._monitor.interrupt(self._board_error or pair.fault or f"synchronising: {pair.difference}")
-            elif unknown := self._unknown():
+            elif unknown:
                 self._monitor.interrupt(self._board_error or unknown)
-            if pair.difference or self._unknown():
+            if pair.difference or unknown:
                 return None
             result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants, self._joints)
             if not (self._board_error or pair.fault):

@@ -33,7 +33,7 @@ class RecordService:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     node : Node
         Owner of service and topics.
     request : BurstRequest
