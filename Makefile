@@ -42,6 +42,7 @@ ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
 COMPILE = cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
+PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
 C_CORE := $(wildcard $(foreach room,math control sensing diagnosis drive app comm config,firmware/$(room)/*.c))
 C_MODELS := $(wildcard servo_twin/native/chip/*.c servo_twin/native/plant/*.c)
 C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
@@ -52,7 +53,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz test lint format build fast generate tune clean
+.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz test lint format build fast generate generated-sources tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -154,10 +155,16 @@ $(VENV)/.fast: $(VENV)/.native
 	@touch $(VENV)/.native $@
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
-generate tune: export PYTHONPATH := servo_msgs_py
-generate: $(VENV)/.created ## rewrite the committed generated files
+generated-sources tune: export PYTHONPATH := servo_msgs_py
+generated-sources: $(VENV)/.created
 	@$(BIN)/python -m servo_msgs_py.codegen
 	@$(BIN)/python firmware/config/tune.py
+
+generate: generated-sources ## rewrite the committed generated files
+	@$(MAKE) --no-print-directory $(VENV)/.packages
+	@for file in $(PARAMETER_FILES); do \
+	  $(BIN)/$$(basename $$file .yaml) --parameter-file >$(VENV)/parameters.yaml || exit; \
+	  cmp -s $(VENV)/parameters.yaml $$file || cp $(VENV)/parameters.yaml $$file; done
 
 tune: $(VENV)/.created ## margins, poles and sensitivity of the gains that servo.toml gives; CONFIG=... for another file
 	@$(BIN)/python firmware/config/tune.py report $(if $(CONFIG),--config '$(CONFIG)')

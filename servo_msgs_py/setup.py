@@ -28,7 +28,7 @@ setup(
     extras_require={
         "plot": ["matplotlib"],
         # Only for machines without ROS 2: there these come as wheels.
-        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces", "pyyaml"],
         "test": ["pytest", "hypothesis"],
     },
 )

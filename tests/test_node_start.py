@@ -16,7 +16,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file, parameter_value_to_python
 from servo_bridge.node import ServoBridge
 from servo_bridge.parameters import PARAMETERS as BRIDGE_PARAMETERS
-from servo_msgs_py.runtime.node_shell import NameTakenError, ParameterError, Spec, claim_name, full_name
+from servo_msgs_py.runtime.node_shell import NameTakenError, claim_name, full_name
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, parameter_file
 from servo_twin.node import PARAMETERS as TWIN_PARAMETERS
 from servo_twin.node import ServoTwin
 from servo_twin.viewer_node import PARAMETERS as VIEWER_PARAMETERS
@@ -151,15 +152,29 @@ CONFIGURATIONS = [
 
 
 @pytest.mark.parametrize(("package", "name", "parameters"), CONFIGURATIONS)
-def test_default_files_load_with_the_declared_types(package: str, name: str, parameters: Mapping[str, Spec]) -> None:
+def test_parameter_files_are_up_to_date(package: str, name: str, parameters: Mapping[str, Spec]) -> None:
+    text = (ROOT / package / "config" / name).read_text(encoding="utf-8")
+    assert text == parameter_file(name.removesuffix(".yaml"), parameters), "run `make generate`"
+
+
+@pytest.mark.parametrize(("package", "name", "parameters"), CONFIGURATIONS)
+def test_parameter_files_load_with_the_declared_types(package: str, name: str, parameters: Mapping[str, Spec]) -> None:
     """Read as by ``ros2 param load``: YAML 1.1, where 1.5e6 is a string and 1 is not a float."""
     file = ROOT / package / "config" / name
     loaded = parameter_dict_from_yaml_file(str(file), use_wildcard=True)
     found = {key: parameter_value_to_python(parameter.value) for key, parameter in loaded.items()}
     assert found == {key: spec.default for key, spec in parameters.items()}
     assert {key: type(value) for key, value in found.items()} == {k: type(s.default) for k, s in parameters.items()}
-    numbers = [line for line in file.read_text().splitlines() if re.match(r"    \w+: .*\d[eE][+-]?\d", line)]
-    assert not numbers, "without its sign or decimal point such a number would be read as a string"
+
+
+@pytest.mark.parametrize(
+    ("program", "package", "name"), [("servo_bridge", *CONFIGURATIONS[0][:2]), ("servo_twin", *CONFIGURATIONS[1][:2])]
+)
+def test_nodes_print_their_parameter_file(program: str, package: str, name: str) -> None:
+    command = [sys.executable, "-c", f"import sys; from {program}.node import main; sys.exit(main())"]
+    answer = subprocess.run([*command, "--parameter-file"], capture_output=True, text=True, timeout=60)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert answer.stdout == (ROOT / package / "config" / name).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

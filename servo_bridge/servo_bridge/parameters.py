@@ -19,8 +19,9 @@ from servo_msgs_py.board_parameters import Assignment, merged
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.robot_description import NO_LIMIT
-from servo_msgs_py.runtime.node_shell import ParameterError, Spec, full_name
-from servo_msgs_py.runtime.node_shell import declare as declare_all
+from servo_msgs_py.runtime.node_shell import full_name
+from servo_msgs_py.runtime.parameters import ParameterError, Spec
+from servo_msgs_py.runtime.parameters import declare as declare_all
 
 from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.telemetry import telemetry_variables
@@ -44,7 +45,7 @@ __all__ = [
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _AT_START: Mapping[str, Spec] = {
-    "autostart": Spec(True, "whether the node configures and activates itself at the start; the axes stay disabled"),
+    "autostart": Spec(True, "whether the node configures and activates itself at the start; no axis is enabled by it"),
 }
 
 _SETTINGS: Mapping[str, Spec] = {
@@ -53,7 +54,7 @@ _SETTINGS: Mapping[str, Spec] = {
     ),
     "baud": Spec(115200, "line speed of the serial port [bit/s]", 1200, 4_000_000),
     "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
-    "gear_ratio": Spec([1.0, 1.0], "turns of the motor per turn of the joint, per joint; 1.0e-4 .. 1.0e+5"),
+    "gear_ratio": Spec([1.0, 1.0], "turns of the motor per turn of the joint, per joint, 0.0001 .. 100000"),
     "direction": Spec([1, 1], "1, or -1 if joint and motor turn in opposite directions, per joint"),
     "offset": Spec([0.0, 0.0], "position of the joint at motor position 0, per joint [rad]"),
     "telemetry": Spec(
@@ -65,8 +66,9 @@ _SETTINGS: Mapping[str, Spec] = {
                 for name in ("position_ref", "speed_ref", "i_q_ref", "limits", "u_d", "u_q")
             ),
         ],
-        "variables read with every sample and published on snapshot, in addition to those that the bridge requires; "
-        "each additional byte reduces the sample rate",
+        "variables read with every sample and published on snapshot, in addition to those that the bridge requires "
+        "(tick, applied_tick, applied_count; of each axis position, speed, i_q, state, substate, faults); each "
+        "additional byte reduces the sample rate; [''] for none",
     ),
     "telemetry_rate": Spec(
         0.0,
@@ -77,7 +79,8 @@ _SETTINGS: Mapping[str, Spec] = {
     ),
     "variables": Spec(
         ["u_dc", "axis1.i_q", "axis2.i_q"],
-        "variables published one by one as var/<name>; those outside the telemetry are read one at a time",
+        "variables published one by one as var/<name>; those that are not in the telemetry are read one at a time, "
+        "which reduces the sample rate; [''] for none",
     ),
     "variable_rate": Spec(20.0, "rate of the var/ topics [Hz]", 0.1, 200.0),
     "joint_states_rate": Spec(0.0, "highest rate of joint_states [Hz]; 0 publishes every sample", 0.0, 10_000.0),
@@ -86,11 +89,12 @@ _SETTINGS: Mapping[str, Spec] = {
     ),
     "position_min": Spec(
         [-NO_LIMIT, -NO_LIMIT],
-        "lowest position set-point per joint [rad]; -1.0e+15 is none. A joint with neither is continuous",
+        "lowest position set-point per joint [rad]; -1.0e+15: no limit. A joint without limits is continuous; its "
+        "single steps are limited to 2^30 counts of the motor (1686630 rad of its shaft)",
         read_only=False,
     ),
     "position_max": Spec(
-        [NO_LIMIT, NO_LIMIT], "highest position set-point per joint [rad]; 1.0e+15 is none", read_only=False
+        [NO_LIMIT, NO_LIMIT], "highest position set-point per joint [rad]; 1.0e+15: no limit", read_only=False
     ),
     "velocity_max": Spec(
         [419.0, 419.0], "largest velocity set-point per joint [rad/s], within the limit of the board", read_only=False
@@ -149,7 +153,7 @@ _SETTINGS: Mapping[str, Spec] = {
     ),
     "home_positions": Spec(
         [0.0, 0.0],
-        "position of each joint at its homing stop or switch, or at which its position is set [rad]",
+        "position of each joint at its homing stop or switch, or at which its position is set [rad] (doc/homing.md)",
         read_only=False,
     ),
     "restore_positions": Spec(
@@ -167,14 +171,15 @@ _SETTINGS: Mapping[str, Spec] = {
     "board_parameters": Spec(
         [""],
         "parameters set on the board at every connection and whenever this list changes, each as NAME=VALUE such as "
-        "param.features[0]=ANTI_WINDUP+POSITION_LIMITS, param.i_q_limit=1.0,1.5 or param.command_timeout=1.0; a "
-        "parameter removed from the list keeps its value on the board until a reset",
+        "param.features[0]=ANTI_WINDUP+POSITION_LIMITS or param.i_q_limit=1.0,1.5; [''] for none. A parameter removed "
+        "from the list keeps its value on the board until a reset. A velocity or effort set-point that is not sent "
+        "again within 0.5 s ends in a stop; param.command_timeout=1.0 changes this time [s], 0: no timeout",
         read_only=False,
     ),
 }
 
 PARAMETERS: Mapping[str, Spec] = {**_AT_START, **_SETTINGS}
-"""All parameters of the node. ``config/servo_bridge.yaml`` lists the same defaults."""
+"""All parameters of the node; ``config/servo_bridge.yaml`` is generated from them."""
 
 
 @dataclass(frozen=True)

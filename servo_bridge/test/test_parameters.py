@@ -1,9 +1,7 @@
-"""Parameters: YAML file, declarations and descriptors agree."""
+"""Parameters of the bridge: descriptors, checks and settings."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,23 +10,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import Joint, JointLimits
 
 CATALOGUE = Catalogue.load()
-FILE = Path(__file__).resolve().parents[1] / "config" / "servo_bridge.yaml"
 DEFAULTS = {name: spec.default for name, spec in PARAMETERS.items()}
-
-
-def test_the_file_has_a_comment_for_every_parameter() -> None:
-    """For the values see tests/test_node_start.py."""
-    lines = FILE.read_text(encoding="utf-8").splitlines()
-    for name in PARAMETERS:
-        number = next(k for k, line in enumerate(lines) if line.startswith(f"    {name}:"))
-        assert lines[number - 1].lstrip().startswith("#") or lines[number - 1].startswith("    position_min"), name
-
-
-def test_file_marks_read_only_parameters() -> None:
-    blocks = re.split(r"\n(?=    #)", FILE.read_text(encoding="utf-8"))
-    for name, spec in PARAMETERS.items():
-        block = next(b for b in blocks if re.search(rf"^    {name}:", b, re.MULTILINE))
-        assert ("Read-only." in block) == spec.read_only, name
 
 
 def test_descriptors_have_text_range_and_access() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from rclpy.node import Node
-from servo_msgs_py.runtime.node_shell import ParameterError, Spec, run
+from servo_msgs_py.runtime.node_shell import run
+from servo_msgs_py.runtime.parameters import ParameterError, Spec
 
 from servo_twin.diagnosis.calibration import FALSE_ALARM_HOURS, Calibrator
 from servo_twin.diagnosis.thresholds import ThresholdsError

@@ -31,15 +31,8 @@ from servo_msgs_py.convert import (
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
-from servo_msgs_py.runtime.node_shell import (
-    ParameterError,
-    Spec,
-    claim_name,
-    declare,
-    destroyed_on_error,
-    full_name,
-    run,
-)
+from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, declare
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -84,7 +77,7 @@ PARAMETERS: Final = {
     ),
     "adapt": Spec(False, "adopt detected changes in the plant of the twin"),
 }
-"""Parameters of the node. ``config/servo_twin.yaml`` lists the same defaults."""
+"""Parameters of the node; ``config/servo_twin.yaml`` is generated from them."""
 
 
 class ServoTwin(Node):

@@ -22,7 +22,8 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.robot_description import joints_of
-from servo_msgs_py.runtime.node_shell import ParameterError, Spec, declare, destroyed_on_error, run
+from servo_msgs_py.runtime.node_shell import destroyed_on_error, run
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, declare
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64MultiArray, String
 
@@ -34,7 +35,7 @@ from servo_twin.view.web_page import WebPage, WebPageError, free_port
 
 PARAMETERS: Final = {
     "record": Spec("", "file for the recording (.rrd); an existing file is replaced; empty: none"),
-    "web": Spec(True, "serve the live viewer to a browser on this machine"),
+    "web": Spec(True, "serve the live viewer to a browser on this machine; its address is printed"),
     "grpc_port": Spec(9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535),
     "web_port": Spec(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
     "board_namespace": Spec(
@@ -42,7 +43,7 @@ PARAMETERS: Final = {
     ),
     "twin_namespace": Spec("twin", "namespace of the twin node, as board_namespace; the twin is optional"),
 }
-"""Parameters of the node. ``config/servo_viewer.yaml`` lists the same defaults."""
+"""Parameters of the node; ``config/servo_viewer.yaml`` is generated from them."""
 
 
 class ServoViewer(Node):

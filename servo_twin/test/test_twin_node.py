@@ -29,7 +29,7 @@ from servo_msgs_py.convert import (
 )
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
 from servo_msgs_py.robot_description import describe
-from servo_msgs_py.runtime.node_shell import ParameterError
+from servo_msgs_py.runtime.parameters import ParameterError
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.fault_injection import HotPowerStage, SlippedEncoder

@@ -1,4 +1,4 @@
-"""Common functions of all nodes of the servo: parameters with descriptions, help, orderly shutdown."""
+"""Common functions of all nodes of the servo: unique names, arguments, orderly shutdown."""
 
 from __future__ import annotations
 
@@ -7,82 +7,25 @@ import re
 import signal
 import socket
 import sys
-import textwrap
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import rclpy
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import ParameterException, ROSInterruptException
+from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, parameter_file
+
 _SPIN_TIMEOUT: Final = 0.1  # longest delay until a stop request is processed [s]
-
-
-class ParameterError(ValueError):
-    """A parameter is invalid; the text contains its name and its valid values."""
 
 
 class NameTakenError(RuntimeError):
     """A node with this name is already running; the text contains the remedy."""
-
-
-@dataclass(frozen=True)
-class Spec:
-    """One parameter: default, description, range, and whether it can change at run time.
-
-    In a managed node, a `read_only` parameter can change only while the node is unconfigured.
-    """
-
-    default: Any
-    description: str
-    low: float | None = None  # smallest value; None: no limit
-    high: float | None = None  # largest value; None: no limit
-    read_only: bool = True
-
-    def descriptor(self, *, managed: bool = False) -> ParameterDescriptor:
-        """ROS descriptor; a managed node has no read-only parameters in ROS, so the node has to reject changes."""
-        result = ParameterDescriptor(description=self.description, read_only=self.read_only and not managed)
-        if self.read_only and managed:
-            result.additional_constraints = "can be changed only while the node is unconfigured"
-        if self.low is not None and self.high is not None:
-            if isinstance(self.default, int):
-                result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
-            else:
-                result.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)]
-        return result
-
-
-def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False) -> dict[str, Any]:
-    """Declare parameters and return their values.
-
-    Parameters
-    ----------
-    node : Node
-        Owner.
-    parameters : mapping of str to Spec
-        What to declare.
-    managed : bool
-        Their specifications.
-
-    Raises
-    ------
-    ParameterError
-        If a given value has the wrong type or is out of range.
-    """
-    values: dict[str, Any] = {}
-    for name, spec in parameters.items():
-        try:
-            values[name] = node.declare_parameter(name, spec.default, spec.descriptor(managed=managed)).value
-        except ParameterException as error:
-            raise ParameterError(f"parameter {name}: {error}; description: {spec.description}") from None
-    return values
 
 
 def full_name(node: Node) -> str:
@@ -140,17 +83,6 @@ class Runnable(Protocol):
     def shutdown(self) -> None: ...
 
 
-def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
-    """Text of ``--help`` of a node."""
-    lines = [f"usage: {name} [-h] [--ros-args -p PARAMETER:=VALUE ... -r FROM:=TO ... --params-file FILE]", ""]
-    lines += [*textwrap.wrap(purpose, 100), "", "parameters:"]
-    for key, spec in parameters.items():
-        limits = f", {spec.low:g} .. {spec.high:g}" if spec.low is not None and spec.high is not None else ""
-        text = f"{spec.description} (default: {spec.default!r}{limits})"
-        lines += [f"  {key}", *textwrap.wrap(text, 100, initial_indent="      ", subsequent_indent="      ")]
-    return "\n".join(lines)
-
-
 def run(
     name: str,
     purpose: str,
@@ -163,7 +95,7 @@ def run(
     Parameters
     ----------
     name, purpose, parameters
-        For messages and ``--help``.
+        For messages, ``--help`` and ``--parameter-file``.
     make : callable
         Creates the node for an executor; called after the initialisation of ROS.
     args : sequence of str, optional
@@ -181,6 +113,9 @@ def run(
         return _print_error(name, _without_source_lines(str(error)), 2)
     if own and own[0] in ("-h", "--help"):
         print(help_text(name, purpose, parameters))
+        return 0
+    if own == ["--parameter-file"]:
+        print(parameter_file(name, parameters), end="")
         return 0
     if own:
         return _print_error(name, f"unknown argument {own[0]}; --help lists all arguments", 2)

@@ -1,0 +1,131 @@
+"""Parameters of a node: descriptions, declaration, the text of ``--help`` and the parameter file with the defaults."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import yaml
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+
+_HELP_WIDTH: Final = 100
+_FILE_WIDTH: Final = 120
+_INDENT: Final = "    "
+
+
+class ParameterError(ValueError):
+    """A parameter is invalid; the text contains its name and its valid values."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter: default, description, range, and whether it can change at run time.
+
+    In a managed node, a `read_only` parameter can change only while the node is unconfigured.
+    """
+
+    default: Any
+    description: str
+    low: float | None = None  # smallest value; None: no limit
+    high: float | None = None  # largest value; None: no limit
+    read_only: bool = True
+
+    @property
+    def limits(self) -> str:
+        """Range such as ``0 .. 1``; empty: no limit."""
+        return "" if self.low is None or self.high is None else f"{self.low:.15g} .. {self.high:.15g}"
+
+    def descriptor(self, *, managed: bool = False) -> ParameterDescriptor:
+        """ROS descriptor; a managed node has no read-only parameters in ROS, so the node has to reject changes."""
+        result = ParameterDescriptor(description=self.description, read_only=self.read_only and not managed)
+        if self.read_only and managed:
+            result.additional_constraints = "can be changed only while the node is unconfigured"
+        if self.low is not None and self.high is not None:
+            if isinstance(self.default, int):
+                result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
+            else:
+                result.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)]
+        return result
+
+
+def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False) -> dict[str, Any]:
+    """Declare parameters and return their values.
+
+    Parameters
+    ----------
+    node : Node
+        Owner.
+    parameters : mapping of str to Spec
+        What to declare.
+    managed : bool
+        Whether the node has a lifecycle.
+
+    Raises
+    ------
+    ParameterError
+        If a given value has the wrong type or is out of range.
+    """
+    values: dict[str, Any] = {}
+    for name, spec in parameters.items():
+        try:
+            values[name] = node.declare_parameter(name, spec.default, spec.descriptor(managed=managed)).value
+        except ParameterException as error:
+            raise ParameterError(f"parameter {name}: {error}; description: {spec.description}") from None
+    return values
+
+
+def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
+    """Text of ``--help`` of a node."""
+    lines = [
+        f"usage: {name} [-h | --parameter-file] [--ros-args -p NAME:=VALUE ... -r FROM:=TO ... --params-file FILE]",
+        "",
+        *textwrap.wrap(purpose, _HELP_WIDTH),
+        "",
+        "--parameter-file prints a parameter file with the defaults",
+        "",
+        "parameters:",
+    ]
+    for key, spec in parameters.items():
+        limits = f", {spec.limits}" if spec.limits else ""
+        text = f"{spec.description} (default: {spec.default!r}{limits})"
+        lines += [f"  {key}", *textwrap.wrap(text, _HELP_WIDTH, initial_indent="      ", subsequent_indent="      ")]
+    return "\n".join(lines)
+
+
+def parameter_file(name: str, parameters: Mapping[str, Spec]) -> str:
+    """Parameter file for ``--params-file``: every parameter of a node with its description and default."""
+    at_start = all(spec.read_only for spec in parameters.values())
+    access = (
+        "All are read at the start only."
+        if at_start
+        else '"Read-only": can be changed only while the node is unconfigured (doc/lifecycle.md).'
+    )
+    lines = [
+        f"# Every parameter of {name} with its default, as `{name} --parameter-file` prints it. Change what you need",
+        "# in a copy of this file, and start with",
+        "#",
+        f"#   {name} --ros-args --params-file my.yaml",
+        "#",
+        f"# {access}",
+        "# A number with an exponent needs a sign and a decimal point: 1.5e+6 is a number, 1.5e6 a text.",
+        "/**:",
+        "  ros__parameters:",
+    ]
+    for key, spec in parameters.items():
+        sentences = [f"{spec.description[0].upper()}{spec.description[1:]}."]
+        if spec.limits:
+            sentences.append(f"Range: {spec.limits}.")
+        if spec.read_only and not at_start:
+            sentences.append("Read-only.")
+        comment = f"{_INDENT}# "
+        lines += textwrap.wrap(
+            " ".join(sentences), _FILE_WIDTH, initial_indent=comment, subsequent_indent=comment, break_on_hyphens=False
+        )
+        one_line = None if isinstance(spec.default, list) else False  # of PyYAML: lists as [a, b], but no {name: value}
+        entry = yaml.safe_dump({key: spec.default}, default_flow_style=one_line, width=_FILE_WIDTH - 4 * len(_INDENT))
+        lines += textwrap.indent(entry, _INDENT).splitlines()
+    return "\n".join(lines) + "\n"
