@@ -446,11 +446,10 @@ class _Stale:
         """Instrument the file and replace the old output."""
         body = charged(self.text, str(self.source), _spend(self.factor))
         self.output.parent.mkdir(parents=True, exist_ok=True)
-        # Flag 3 (system header) disables warnings in the generated code.
+        # Flag 3 (system header) disables warnings in the generated code. The text is the same in every checkout.
+        name = "/".join(self.source.parts[-2:])
         complete = self.output.with_suffix(f".{os.getpid()}")  # another process may be writing the same
-        complete.write_text(
-            f'{self.head}\n#include "chip/core_time.h"\n# 1 "{self.source}" 3\n{body}', encoding="utf-8"
-        )
+        complete.write_text(f'{self.head}\n#include "chip/core_time.h"\n# 1 "{name}" 3\n{body}', encoding="utf-8")
         complete.replace(self.output)
 
 
@@ -474,15 +473,16 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
         In the order of `sources`.
     """
     weights = load_weights()
-    written: list[Path] = []
+    sources = list(sources)
+    written = [folder / source.parent.name / source.name for source in sources]
+    inputs, stamp = _digest_of_inputs(sources, firmware, options), folder / "inputs"
+    if stamp.is_file() and stamp.read_text(encoding="ascii") == inputs and all(map(Path.is_file, written)):
+        return written  # setup.py asks several times in one build; the preprocessor would take 1.5 s each time
     stale: list[_Stale] = []
-    for source in sources:
-        name = f"{source.parent.name}/{source.stem}"
-        factor = weight_of(weights, name)
+    for source, output in zip(sources, written, strict=True):
+        factor = weight_of(weights, f"{source.parent.name}/{source.stem}")
         text = preprocessed(source, [firmware], options)
         head = f"/* {hashlib.sha256(f'{_VERSION}{factor}{text}'.encode()).hexdigest()} */"
-        output = folder / f"{name}.c"
-        written.append(output)
         if not output.is_file() or output.open(encoding="utf-8").readline().rstrip() != head:
             stale.append(_Stale(source, output, head, text, factor))
     if len(stale) < _PARALLEL_MIN:
@@ -492,4 +492,13 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
         # A forked process does not import setup.py again.
         with ProcessPoolExecutor(mp_context=multiprocessing.get_context("fork")) as pool:
             list(pool.map(_Stale.write, stale))
+    stamp.write_text(inputs, encoding="ascii")
     return written
+
+
+def _digest_of_inputs(sources: Iterable[Path], firmware: Path, options: Sequence[str]) -> str:
+    """Digest of everything that determines the instrumented files."""
+    digest = hashlib.sha256(f"{_VERSION}{options}".encode())
+    for path in (WEIGHTS, *sources, *sorted(firmware.rglob("*.h"))):
+        digest.update(f"{path.name}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
