@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -35,6 +36,14 @@ FULL_SPEED: Final = 523.5987755982989  # rad/s
 TICK: Final = 0.5e-3  # s
 COUNT: Final = 2.0 * math.pi / 4000  # rad
 CODE_24V: Final = 2708
+
+
+@cache
+def _offset(core: Core, path: str) -> int:
+    """Offset of a variable in ``servo_t``."""
+    parts = path.replace("[", ".").replace("]", "").split(".")
+    offset: int = core.ffi.offsetof("servo_t", *(int(part) if part.isdigit() else part for part in parts))
+    return offset
 
 
 def speed(rad_s: float) -> int:
@@ -176,11 +185,7 @@ class Bench:
     def address(self, name: str, element: int = 0) -> int:
         """Address of a variable or of one of its elements in the protocol."""
         variable = self.catalogue.variables[name]
-        path: list[str | int] = []
-        for part in variable.path.replace("[", ".").replace("]", "").split("."):
-            path.append(int(part) if part.isdigit() else part)
-        offset: int = self.core.ffi.offsetof("servo_t", *path)
-        return VARIABLES + offset + element * variable.element_size
+        return VARIABLES + _offset(self.core, variable.path) + element * variable.element_size
 
     def write_raw(self, name: str, raw: Sequence[int]) -> None:
         """Write a whole variable, raw."""
