@@ -25,6 +25,7 @@ FIRMWARE: Final = Path(__file__).resolve().parents[1]
 CHIP: Final = FIRMWARE / "port" / "mc56f84789"
 ARM: Final = ("arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-O2")
 AVR: Final = ("avr-gcc", "-mmcu=atmega1284p", "-Os")
+CALL_GRAPHS: Final = "-fcallgraph-info=su"
 
 RAM_WORDS: Final = 0x4000
 DATA_FLASH_WORDS: Final = 0x3800  # the remaining data flash is non-volatile storage
@@ -169,7 +170,9 @@ def missing_tools() -> list[str]:
 
 def _compile(compiler: Sequence[str], options: Sequence[str], folder: Path, files: Iterable[Path]) -> list[Path]:
     objects = []
-    environment = {**os.environ, "CCACHE_DISABLE": "1"}  # ccache does not cache the call graphs
+    environment = dict(os.environ)
+    if CALL_GRAPHS in options:
+        environment["CCACHE_DISABLE"] = "1"  # ccache does not cache them
     for path in files:  # different folders can contain files with the same name
         objects.append(folder / f"{path.parent.name}_{path.stem}.o")
         command = [*compiler, "-std=c99", f"-I{FIRMWARE}", *options, "-c", str(path), "-o", str(objects[-1])]
@@ -189,7 +192,7 @@ def load(files: Sequence[Path] | None = None) -> Program:
     constants: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for path, compiled in zip(paths, _compile(ARM, ["-fcallgraph-info=su"], folder, paths), strict=True):
+        for path, compiled in zip(paths, _compile(ARM, [CALL_GRAPHS], folder, paths), strict=True):
             _read_graph(compiled.with_suffix(".ci").read_text(encoding="ascii"), functions)
             sizes = re.findall(
                 r"^ +\d+ \.(text|rodata)\S* +([0-9a-f]{8})", _output("arm-none-eabi-objdump", "-h", compiled), re.M
@@ -201,7 +204,7 @@ def load(files: Sequence[Path] | None = None) -> Program:
 
 
 def _read_graph(text: str, functions: dict[str, Function]) -> None:
-    """Nodes and edges of one file (``-fcallgraph-info=su``)."""
+    """Nodes and edges of one file (`CALL_GRAPHS`)."""
     for title, name, file, size in re.findall(
         r'^node: \{ title: "([^"]+)" label: "(\S+?)\\n([^":]+):\d+:\d+\\n(\d+) bytes', text, re.MULTILINE
     ):
@@ -239,7 +242,8 @@ def resolve(program: Program) -> Program:
 def data_words(files: Sequence[Path] | None = None) -> int:
     """Size of the variables on the chip [words], from avr-gcc."""
     with tempfile.TemporaryDirectory() as name:
-        objects = _compile(AVR, [], Path(name), sources() if files is None else files)
+        # The list of headers (-MD) spares ccache a run of the preprocessor (CCACHE_DEPEND in the Makefile).
+        objects = _compile(AVR, ["-MD"], Path(name), sources() if files is None else files)
         rows = [line.split() for line in _output("avr-size", *objects).splitlines()[1:]]
     return -(-sum(int(row[1]) + int(row[2]) for row in rows) // BYTES_PER_WORD)
 

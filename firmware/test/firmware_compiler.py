@@ -93,7 +93,10 @@ class CompileProgram:
         defines: Sequence[str] = (),
         compiler: str = "gcc",
     ) -> Path:
-        return run_compiler(self._folder / name, sources, [*options, *defined(defines)], compiler)
+        output, options = self._folder / name, [*options, *defined(defines)]
+        if len(sources) > 1:
+            sources = compile_objects(output.with_suffix(".objects"), sources, options, compiler)
+        return run_compiler(output, sources, options, compiler)
 
 
 def has_library(compiler: str, name: str) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from core_library import CORE_SOURCES
-from firmware_compiler import FIRMWARE, STRICT, CompileProgram, has_library
+from firmware_compiler import FIRMWARE, CompileProgram, compile_objects, has_library
 
 # With optimisation an unused read is removed before the address sanitizer checks it.
 SANITIZE = "-O0 -g1 -fsanitize=undefined,address -fno-sanitize-recover=all"
@@ -72,11 +72,8 @@ def test_sanitizers_find_overflows_and_reads_out_of_bounds(
 
 def test_no_file_scope_state(tmp_path: Path) -> None:
     """Several boards may run in one process: no object file has writable data."""
-    command = ["gcc", *STRICT, "-O0", "-fno-pie", f"-I{FIRMWARE}", "-c", *(str(FIRMWARE / s) for s in CORE_SOURCES)]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    objects = sorted(str(path) for path in tmp_path.glob("*.o"))
-    assert len(objects) == len(CORE_SOURCES)
-    listing = subprocess.run(["nm", *objects], capture_output=True, text=True, check=True).stdout
+    objects = compile_objects(tmp_path, CORE_SOURCES, ["-O0", "-fno-pie"], "gcc")
+    listing = subprocess.run(["nm", *map(str, objects)], capture_output=True, text=True, check=True).stdout
     assert re.search(r"\sR servo_config$", listing, re.MULTILINE)
     assert not re.findall(r"\s[bBdDcC] \w+$", listing, re.MULTILINE)
 
