@@ -10,7 +10,7 @@ from typing import Final
 
 from targets.machines import CORTEX_M3
 from targets.sources import ROOMS, STRICT
-from targets.toolchain import TargetError, run
+from targets.toolchain import TargetError, compile_objects, run
 
 from firmware_cost.programs import COMPILER, Programs
 
@@ -72,12 +72,11 @@ def _sum(parts: Iterable[Size]) -> Size:
 
 def _compiled(programs: Programs, name: str) -> Path:
     """Compile a C file of the bench."""
-    output = programs.folder / f"{name}.o"
     sources = programs.sources
     include = [f"-I{path}" for path in (sources.firmware, sources.port("cortex_m3"), programs.bench)]
     options = [*STRICT, *CORTEX_M3, programs.optimisation, *include]
-    run([COMPILER, *options, "-c", programs.bench / f"{name}.c", "-o", output])
-    return output
+    (compiled,) = compile_objects([COMPILER, *options], [programs.bench / f"{name}.c"], programs.folder, sources.root)
+    return compiled
 
 
 def _placed(programs: Programs, name: str, server: list[Path]) -> dict[str, Size]:

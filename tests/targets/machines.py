@@ -128,10 +128,14 @@ def cortex_m3_compiler(sources: Sources, options: Sequence[str]) -> list[str]:
 
 def build_cortex_m3(sources: Sources, output: Path, files: Sequence[Path], options: Sequence[str]) -> Path:
     """Compile and link a program for the Cortex-M3 from sources or objects `files` and the start-up code."""
-    port = sources.port("cortex_m3")
+    port, compiler = sources.port("cortex_m3"), cortex_m3_compiler(sources, options)
     link = ["-nostdlib", "-T", str(port / "mps2.ld"), "-Wl,--gc-sections", "-o", str(output)]
     everything = [*files, port / "machine.c", port / "startup.c"]
-    run([*cortex_m3_compiler(sources, options), *link, *everything, "-lc", "-lgcc"])
+    texts = [path for path in everything if path.suffix == ".c"]
+    with tempfile.TemporaryDirectory() as folder:
+        compiled = dict(zip(texts, compile_objects(compiler, texts, Path(folder), sources.root), strict=True))
+        # In their order, which determines the addresses.
+        run([*compiler, *link, *(compiled.get(path, path) for path in everything), "-lc", "-lgcc"])
     return output
 
 
