@@ -56,7 +56,8 @@ class Checkout:
         for name in FOLDERS:
             shutil.copytree(ROOT / name, folder / name, ignore=leave)
         paths = os.pathsep.join(str(folder / name) for name in ("servo_twin", "servo_msgs_py"))
-        self._environment = {**os.environ, "PYTHONPATH": paths}
+        # ccache finds the files of an earlier copy, whose path was another.
+        self._environment = {**os.environ, "PYTHONPATH": paths, "CCACHE_BASEDIR": str(folder)}
 
     def python(self, *arguments: str | Path, folder: str = ".") -> str:
         result = subprocess.run(
