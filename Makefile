@@ -19,8 +19,8 @@ export SERVO_TWIN_LEVEL := $(LEVEL)
 endif
 # A test that hangs fails; one that hangs where Python cannot interrupt it ends the run with the stack of every thread.
 TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
-# Tests in real time mostly wait for the clock.
-REALTIME := --timeout 120 -o faulthandler_timeout=180
+PYTEST = $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS)
+REALTIME := --timeout 120 -o faulthandler_timeout=180 -o cache_dir=.pytest_cache/realtime
 # Only their files are collected, unless PYTEST_ARGS may name others.
 REALTIME_FILES = $(if $(PYTEST_ARGS),,$(shell grep -rl --include='test_*.py' 'mark\.realtime' firmware $(PACKAGES) tests))
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache, where
@@ -43,6 +43,7 @@ ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64
 COMPILE = cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
+TESTS := test test-simulated test-realtime
 C_CORE := $(wildcard $(foreach room,math control sensing diagnosis drive app comm config,firmware/$(room)/*.c))
 C_MODELS := $(wildcard servo_twin/native/chip/*.c servo_twin/native/plant/*.c)
 C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
@@ -53,7 +54,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz test lint format build fast generate generated-sources tune clean
+.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz $(TESTS) lint format build fast generate generated-sources tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -108,23 +109,35 @@ targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on 
 fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
 	@$(BIN)/python firmware/test/freemaster_fuzz.py --seconds $(or $(FUZZ_SECONDS),600)
 
-# Tests in real time run two at a time, each in a ROS domain of its own. Two chains of processes may overload two cores for a
-# moment: what fails is run once more, alone; the last line counts what passed only then. Status 1: tests failed; 5: no test
-# was chosen.
+# Tests in real time mostly wait for the clock. The others use the rest of the processors, with the lowest priority: as processes,
+# and as a session, because Linux may share the processors among sessions first (autogroup). Their output comes last.
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
+	@setsid chrt --idle 0 sh -c '{ echo 19 >/proc/self/autogroup; } 2>/dev/null; exec $(MAKE) --no-print-directory test-simulated' \
+	  >$(VENV)/test-simulated.log 2>&1 & simulated=$$!; \
+	trap 'kill -TERM -$$simulated; exit 1' INT TERM; \
+	status=0; $(MAKE) --no-print-directory test-realtime || status=1; \
+	tail --pid=$$simulated --lines=+1 --follow $(VENV)/test-simulated.log; \
+	wait $$simulated || status=1; exit $$status
+
+test-simulated: $(VENV)/.native $(VENV)/.dev ## make lint, and the tests that do not keep real time (part of test)
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
-	failed() { cat .pytest_cache/v/cache/lastfailed 2>/dev/null | grep -c ': true'; }; repeated=0; \
-	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; }; \
-	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0; \
-	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; \
-	set -- -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME) $(REALTIME_FILES); \
-	run "in real time" "$$@" -n 2 --dist loadfile --max-worker-restart 1; \
-	if [ $$result -eq 1 ]; then \
-	  repeated=$$(failed); run "what failed in real time, alone" "$$@" --last-failed; repeated=$$((repeated - $$(failed))); \
-	  [ $$result -eq 0 ] || status=1; \
-	elif [ $$result -ne 0 ] && [ $$result -ne 5 ]; then status=1; fi; \
-	[ $$repeated -eq 0 ] || echo "tests in real time that passed only when repeated alone: $$repeated"; \
+	echo "== pytest: on every core"; \
+	$(PYTEST) -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0 || \
+	  [ $$? -eq 5 ] || status=1; \
 	exit $$status
+
+# Two at a time, each in a ROS domain of its own. Two chains of processes may overload two cores for a moment: what fails is run
+# once more, alone; the last line counts what passed only then.
+test-realtime: $(VENV)/.native $(VENV)/.dev ## tests of nodes, lines and processes in real time (part of test)
+	@failed() { cat .pytest_cache/realtime/v/cache/lastfailed 2>/dev/null | grep -c ': true'; }; \
+	run() { $(PYTEST) -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME) $(REALTIME_FILES) "$$@"; result=$$?; }; \
+	echo "== pytest: in real time"; run -n 2 --dist loadfile --max-worker-restart 1; repeated=0; \
+	if [ $$result -eq 1 ]; then \
+	  echo "== pytest: what failed in real time, alone"; \
+	  repeated=$$(failed); run --last-failed; repeated=$$((repeated - $$(failed))); \
+	fi; \
+	[ $$repeated -eq 0 ] || echo "tests in real time that passed only when repeated alone: $$repeated"; \
+	[ $$result -eq 0 ] || [ $$result -eq 5 ]
 
 # The checks of the C sources run beside those of Python; their output comes last.
 lint: $(VENV)/.dev ## ruff, mypy, clang-format, clang-tidy and cppcheck, changing nothing
@@ -174,15 +187,15 @@ clean: ## remove everything that the other targets made
 	rm -rf $(foreach package,$(PACKAGES),$(package)/build $(package)/*.egg-info) servo_twin/servo_twin/*.so
 	find $(PACKAGES) firmware tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
-demo test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-test: export ROS_DOMAIN_ID := $(TEST_DOMAIN_ID)
-test: export SERVO_TWIN_FLAGS := $(ARCH) -O1 -g0 -fno-lto -MD
-test: export PATH := $(addsuffix :,$(CCACHE))$(PATH)
-test: export CCACHE_BASEDIR := $(CURDIR)
-test: export CCACHE_NOHASHDIR := 1
-test: export CCACHE_DEPEND := 1
+demo $(TESTS): export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+$(TESTS): export ROS_DOMAIN_ID := $(TEST_DOMAIN_ID)
+$(TESTS): export SERVO_TWIN_FLAGS := $(ARCH) -O1 -g0 -fno-lto -MD
+$(TESTS): export PATH := $(addsuffix :,$(CCACHE))$(PATH)
+$(TESTS): export CCACHE_BASEDIR := $(CURDIR)
+$(TESTS): export CCACHE_NOHASHDIR := 1
+$(TESTS): export CCACHE_DEPEND := 1
 # Tests start some hundred processes; without byte code each compiles what it imports, the bridge for 0.2 s.
-test: export PYTHONDONTWRITEBYTECODE :=
+$(TESTS): export PYTHONDONTWRITEBYTECODE :=
 
 # ---- how the environment is made -------------------------------------------------------------------------------------
 # The stamps make a second run quick. A sourced ROS lends its rclpy to the environment; without one it comes as wheels.
