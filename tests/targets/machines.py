@@ -218,7 +218,7 @@ class Avr:
         options = [*STRICT, SAMPLES, *AVR_OPTIONS, "-ffunction-sections", "-fdata-sections"]
         compiler = ["avr-gcc", *options, *(f"-I{path}" for path in (sources.firmware, sources.native, port))]
         objects = compile_objects([*compiler, self.optimisation], sources.core(), folder, sources.root)
-        # Reading the recording and the digest take a quarter of the time; the whole core with -O2 hardly fits the flash.
+        # Reading the recording and the digest take a quarter of the time. The core with -O2 hardly fits the flash.
         replay = [*sources.replay(), port / "machine.c"]
         objects += compile_objects([*compiler, "-O2"], replay, folder, sources.root)
         program = AvrProgram(folder / "replay.elf", folder / "simulator")
