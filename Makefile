@@ -54,7 +54,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz $(TESTS) lint format build fast generate generated-sources tune clean
+.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -169,6 +169,7 @@ $(VENV)/.fast: $(VENV)/.native
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
 generated-sources tune: export PYTHONPATH := servo_msgs_py
+.PHONY: generated-sources
 generated-sources: $(VENV)/.created
 	@$(BIN)/python -m servo_msgs_py.codegen
 	@$(BIN)/python firmware/config/tune.py
