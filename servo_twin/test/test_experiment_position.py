@@ -13,7 +13,7 @@ from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
 TARGET = 100
-SHAFT = PlantConfig.load().axes[0]
+PLANT = PlantConfig.load()
 
 
 @pytest.fixture(scope="module")
@@ -39,23 +39,23 @@ def test_figures_of_a_known_shape(still: Recording) -> None:
     shape[:1000] = np.linspace(0, TARGET - 10, 1000)
     shape[1200] = TARGET + 7
     shape[-10] = TARGET - 1
-    move = position.measure(moved(still, shape), TARGET, ramp_end=0.5, shaft=SHAFT)
+    move = position.measure(moved(still, shape), TARGET, 0.5, PLANT, 0)
     assert (move.overshoot, move.cycle) == (7.0, 1.0)
     assert move.error == pytest.approx(1.0 / 1000.0)
     assert move.settling == pytest.approx(1201 * TICK - 0.5)
-    back = position.measure(moved(still, -shape), -TARGET, ramp_end=0.5, shaft=SHAFT)
+    back = position.measure(moved(still, -shape), -TARGET, 0.5, PLANT, 0)
     assert (back.overshoot, back.cycle) == (7.0, 1.0)
 
 
 def test_limit_cycle_is_detected(still: Recording) -> None:
     shape = TARGET + 2 * np.sign(np.sin(2.0 * np.pi * 10.0 * still.time))
     shape[0] = 0
-    move = position.measure(moved(still, shape), TARGET, 0.0, SHAFT)
+    move = position.measure(moved(still, shape), TARGET, 0.0, PLANT, 0)
     assert move.cycle > position.COUNTS_MAX
 
 
 def test_a_shaft_that_does_not_arrive_never_settles(still: Recording) -> None:
-    move = position.measure(moved(still, np.zeros(still.time.size)), TARGET, 0.0, SHAFT)
+    move = position.measure(moved(still, np.zeros(still.time.size)), TARGET, 0.0, PLANT, 0)
     assert move.settling is None
     assert move.error == TARGET
 

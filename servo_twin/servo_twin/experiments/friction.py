@@ -17,7 +17,7 @@ from servo_twin.experiments.dead_time_torque import displacement, response
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import nominal_shafts
 from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
-from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.plant import PlantConfig
 
 NAME: Final = "friction"
 HELP: Final = """\
@@ -48,9 +48,10 @@ QUANTISATION: Final = 0.75
 
 @dataclass(frozen=True)
 class Shaft:
-    """Motor and inertia ratio for the evaluation of a run."""
+    """Axis and inertia ratio for the evaluation of a run."""
 
-    axis: AxisPlant
+    plant: PlantConfig
+    axis: int
     heavier: float  # inertia relative to the tuning, at least 1
 
 
@@ -120,25 +121,30 @@ def expected_at_start(shaft: Shaft, fraction: float) -> float:
     Cannot be measured in the run without feed-forward: at the start the encoder resolution adds an error of opposite
     sign.
     """
-    torques = np.full(round(START_TIME / TICK), fraction * shaft.axis.friction)
-    return _rms(response(torques, shaft.axis, position=False, heavier=shaft.heavier))
+    torques = np.full(round(START_TIME / TICK), fraction * shaft.plant.axes[shaft.axis].friction)
+    return _rms(response(torques, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier))
 
 
 def lost_at_start(recording: Recording, shaft: Shaft) -> float:
     """RMS position lag, without the part caused by the inverter [counts]."""
-    return _rms(position_lag(recording) + displacement(recording, shaft.axis, position=False, heavier=shaft.heavier))
+    return _rms(
+        position_lag(recording)
+        + displacement(recording, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier)
+    )
 
 
 def lost_at_reversals(recording: Recording, shaft: Shaft) -> float:
     """RMS of the position lag about its mean, over whole periods, without the part of the inverter [counts]."""
-    position = position_lag(recording) + displacement(recording, shaft.axis, position=False, heavier=shaft.heavier)
+    position = position_lag(recording) + displacement(
+        recording, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier
+    )
     position = position[round(SETTLE / TICK) :]
     return _rms(position - position.mean())
 
 
 def following_error(recording: Recording, shaft: Shaft) -> float:
     """RMS of the true following error, over whole periods, without the part caused by the inverter [counts]."""
-    cost = displacement(recording, shaft.axis, position=True, heavier=shaft.heavier)
+    cost = displacement(recording, shaft.plant, shaft.axis, position=True, heavier=shaft.heavier)
     return _rms((recording.position_ref - recording.shaft + cost)[round(SETTLE / TICK) :])
 
 
@@ -191,8 +197,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for axis, nominal in enumerate(nominals):
             changed = changed.with_axis(axis, friction=times * nominal.friction, viscous=0.0)
         shafts = [
-            Shaft(entry, max(entry.inertia / nominal.inertia, 1.0))
-            for entry, nominal in zip(changed.axes, nominals, strict=True)
+            Shaft(changed, axis, max(entry.inertia / nominal.inertia, 1.0))
+            for axis, (entry, nominal) in enumerate(zip(changed.axes, nominals, strict=True))
         ]
         found = [(task, task.run(changed, seed, False), task.run(changed, seed, True)) for task in TASKS]
         for axis, shaft in enumerate(shafts):
@@ -223,7 +229,7 @@ def _note(
     ]
     last = found[-1][2]
     costs = " and ".join(
-        f"{_rms(displacement(last[axis], s.axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
+        f"{_rms(displacement(last[axis], s.plant, axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
         for axis, s in enumerate(shafts)
     )
     return (
