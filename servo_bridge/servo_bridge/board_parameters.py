@@ -1,4 +1,4 @@
-"""Parameters of the connected board: read, compare with the request, write, verify, report. Pure.
+"""Parameters of the connected board: read, compare with the request, write, verify, report.
 
 All methods run in the thread of the executor.
 """

@@ -1,4 +1,4 @@
-"""Board parameters in a TOML or JSON file, and their comparison with the board. Pure.
+"""Board parameters in a TOML or JSON file, and their comparison with the board.
 
 Flags and enumeration values are written as names, ``"ANTI_WINDUP+DEAD_TIME"``; numbers are accepted, too.
 """

@@ -1,4 +1,4 @@
-"""Figures of a followed path from recorded telemetry. Pure."""
+"""Figures of a followed path from recorded telemetry."""
 
 from __future__ import annotations
 

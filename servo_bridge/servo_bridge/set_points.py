@@ -1,7 +1,7 @@
 """Set-points of messages: parsing and checks that do not depend on the board.
 
 Checked here: names, array lengths, which array is used, finite numbers. Limits and states are checked by the arbiter.
-Pure: uses sequences, not ROS messages.
+Uses sequences, not ROS messages.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The configuration block of an axis (``axis_config.toml``): its members, and the block as integers and bytes. Pure.
+"""The configuration block of an axis (``axis_config.toml``): its members, and the block as integers and bytes.
 
 A block is a mapping from the C path of a member, such as ``current_loop.d.kp``, to its raw number. Board and host
 number the members in the order of the table and compute the checksum of a block as `checksum` does.

@@ -1,4 +1,4 @@
-"""Triggers of a recorder as text, such as ``axis1.i_q > 1.0``. Pure."""
+"""Triggers of a recorder as text, such as ``axis1.i_q > 1.0``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Axis during a measurement: preconditions, supervised commands, restoration of the initial state. Pure.
+"""Axis during a measurement: preconditions, supervised commands, restoration of the initial state.
 
 Active set-points are rewritten within `param.command_timeout`: if the host stops communicating, the board stops the
 shaft.

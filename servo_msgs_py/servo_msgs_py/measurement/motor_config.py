@@ -1,4 +1,4 @@
-"""Configurations for an unknown motor, and for a motor with measured values. Pure."""
+"""Configurations for an unknown motor, and for a motor with measured values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Detects a change in one set of equations (GLR test), and withdraws it when the data contradict it. Pure."""
+"""Detects a change in one set of equations (GLR test), and withdraws it when the data contradict it."""
 
 from __future__ import annotations
 

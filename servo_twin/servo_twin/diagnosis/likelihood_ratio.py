@@ -1,4 +1,4 @@
-"""Log likelihood ratios of every single change, since every block, against no change. Pure."""
+"""Log likelihood ratios of every single change, since every block, against no change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Findings and estimates as text. Pure."""
+"""Findings and estimates as text."""
 
 from __future__ import annotations
 

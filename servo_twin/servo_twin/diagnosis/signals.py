@@ -1,4 +1,4 @@
-"""Balance equations of one axis for the difference of board and twin, per sample. Pure.
+"""Balance equations of one axis for the difference of board and twin, per sample.
 
 With ``d`` for board minus twin, index 0 for values of the twin's plant, and a filter F of first order:
 

@@ -1,4 +1,4 @@
-"""Thresholds of the diagnosis: noise and model error of every signal of a healthy pair, detection threshold. Pure.
+"""Thresholds of the diagnosis: noise and model error of every signal of a healthy pair, detection threshold.
 
 `servo_twin calibrate` measures them with a healthy board and writes a file. The packaged files are from ``servo-sim
 calibrate`` with virtual pairs: ``thresholds.toml`` at level registers, ``thresholds_ideal.toml`` at level ideal.

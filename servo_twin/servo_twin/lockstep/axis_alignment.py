@@ -1,4 +1,4 @@
-"""Alignment of one axis of the twin with the same axis of the real board: position offset and commands. Pure."""
+"""Alignment of one axis of the twin with the same axis of the real board: position offset and commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings (bursts) of the twin for those of the real board: same variables, same ticks, and the residual. Pure.
+"""Recordings (bursts) of the twin for those of the real board: same variables, same ticks, and the residual.
 
 The bridge publishes the set-up of the recorder before the recorder starts. From then on a recorder of the twin's board
 samples the same variables in every call of the loop, at the same point of the firmware, without trigger or divider.

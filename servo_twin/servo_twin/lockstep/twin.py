@@ -1,4 +1,4 @@
-"""Digital twin: a virtual board that executes the same commands at the same ticks as the real one. Pure.
+"""Digital twin: a virtual board that executes the same commands at the same ticks as the real one.
 
 Time is board ticks only. For each sample of the real board the twin's board is run to the corresponding tick,
 ``own = real + shift``; the samples of both boards at this tick form a `Pair`. Every command write is repeated with the
