@@ -18,13 +18,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.toml import tomllib
+
 from servo_twin.board import Firmware, SimulationError
 from servo_twin.level import Level, chosen_level
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
 """Folder of the checkout, with ``firmware``; the latter is missing in an installed package."""

@@ -391,8 +391,8 @@ def test_the_text_of_a_finding_has_its_value_and_times() -> None:
 
 def test_the_encoder_angle_is_reported_as_an_angle() -> None:
     """The unknown of the equations is its sine."""
-    sines = np.sin(np.deg2rad([60.0, 55.0, 65.0]))
-    text = finding_text(Finding(Kind.SINGLE, ("encoder_angle",), *map(float, sines), 0, 16000), 0, 0)
+    value, low, high = (float(np.sin(np.deg2rad(angle))) for angle in (60.0, 55.0, 65.0))
+    text = finding_text(Finding(Kind.SINGLE, ("encoder_angle",), value, low, high, 0, 16000), 0, 0)
     assert text.startswith("encoder angle +60 deg electrical (+55..+65) since ")
     numbers = estimate_numbers(Estimate("encoder_angle", float(np.sin(np.deg2rad(80.0))), 0.1))
     assert numbers["value"] == pytest.approx(np.deg2rad(80.0))

@@ -73,7 +73,7 @@ def test_the_nominal_shaft_is_not_measurable_with_a_low_current_limit(
 
 def test_path_needs_half_of_the_current(plant: PlantConfig) -> None:
     for entry, demand in zip(plant.axes, path_demands(plant, 3), strict=True):
-        needed = entry.inertia * demand.acceleration * SPEED / entry.torque_constant
+        needed = entry.inertia * demand.acceleration_per_speed * SPEED / entry.torque_constant
         # Less by the time in which the ramp reaches its speed with the largest param.acceleration_limit.
         assert needed == pytest.approx(0.5 * demand.current, rel=0.04)
 

@@ -1,4 +1,4 @@
-"""Refusals of sensorless configurations that do not depend on the gains."""
+"""Refusals of sensorless configurations: observer, PLL, reliability, start-up."""
 
 from __future__ import annotations
 
@@ -92,22 +92,24 @@ def _poles(axis: Axis, board: Board, locked: float) -> None:
     typed = axis.given("observer.k_1")
     entry = "observer.k_2" if typed else "observer.damping"
     remedy = "lower it, or the magnitude of k_1" if typed else "write 1"
-    it = BackEmfObserver.of(axis, board)
+    observer = BackEmfObserver.of(axis, board)
     slowest = math.exp(-2.0 * math.pi * OBSERVER_TO_PLL_MIN * locked * board.period)
     for where, omega_e in (("standstill", 0.0), (f"{axis('limits.speed'):g} rad/s", _top(axis))):
-        radius = it.radius(omega_e)
+        radius = observer.radius(omega_e)
         if not radius < 1.0:
             reason = f"at {where} a pole of the observer has the magnitude {radius:.3f}, outside the unit circle"
             raise axis.refused(entry, reason, remedy)
         if radius > slowest and (typed or omega_e == 0.0):
-            reason = f"at {where} a pole of the observer has the magnitude {radius:.4f}, too near to the unit circle"
-            way = f"above {slowest:.4f} it is slower than {OBSERVER_TO_PLL_MIN:g} times the PLL ({locked:.3g} Hz)"
+            reason = (
+                f"at {where} a pole of the observer has the magnitude {radius:.4f}; it must be below {slowest:.4f}: "
+                f"{OBSERVER_TO_PLL_MIN:g} times the natural frequency of the PLL, {locked:.3g} Hz"
+            )
             remedy = (
                 "raise it, or the magnitude of k_1, or write observer.bandwidth"
                 if typed
                 else "lower it, or raise bandwidth"
             )
-            raise axis.refused(entry, f"{reason}: {way}", remedy)
+            raise axis.refused(entry, reason, remedy)
 
 
 def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:

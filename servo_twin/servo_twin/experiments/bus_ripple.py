@@ -22,7 +22,7 @@ voltage, and shows no measurement."""
 
 FREQUENCY: Final = 100.0  # [Hz]
 AMPLITUDE: Final = 0.1  # of the supply, relative
-SPEED: Final = 1500.0 * RPM
+SPEED: Final = 1500.0 * RPM  # [rad/s]
 LOAD: Final = 1.0  # load torque, as current [A]
 DISCHARGE_FRACTION: Final = 0.75
 """Fraction of the load current for discharging the capacitor with the falling supply, which cannot absorb energy."""
@@ -55,9 +55,8 @@ def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recordi
     acceleration = {"acceleration_limit": 4.0 * SPEED / SETTLE}
     with spinning(plant, seed) as board:
         set_up(board, axis, "SPEED", SPEED, parameters=acceleration, BUS_COMPENSATION=compensated)
-        board.set_load(
-            axis, LOAD * plant.axes[axis].torque_constant
-        )  # braking would raise the voltage of the small capacitor
+        # A load, because braking would raise the voltage of the small capacitor.
+        board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
         record(board, [axis], 0.5 * SETTLE)
 
         def act(k: int) -> None:
@@ -73,8 +72,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield f"{SPEED / RPM:g} rpm, load of {LOAD:g} A, bus capacitor {smallest:.2g} mF, ripple at {FREQUENCY:g} Hz"
     for axis in range(AXES):
         name = axis_name(axis)
-        with_it, without = both = [turn(plant, seed, axis, compensated) for compensated in (True, False)]
-        bus = 100.0 * amplitude(with_it.u_dc, FREQUENCY) / plant.bus.u_source
+        both = [turn(plant, seed, axis, compensated) for compensated in (True, False)]
+        with_compensation, without = both
+        bus = 100.0 * amplitude(with_compensation.u_dc, FREQUENCY) / plant.bus.u_source
         currents = [amplitude(r.i_q_true, FREQUENCY) for r in both]
         speeds = [amplitude(r.omega, FREQUENCY) / RPM for r in both]
         ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
@@ -86,10 +86,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             f"{name}: i_q ripple {1e3 * currents[0]:.3g} mA with, {1e3 * currents[1]:.3g} mA without; "
             f"speed ripple {speeds[0]:.3g} and {speeds[1]:.3g} rpm"
         )
-        shown = {"without": _shown(without), "with compensation": _shown(with_it)}
+        shown = {"without": _shown(without), "with compensation": _shown(with_compensation)}
         curves = [Curve(label, _milliseconds(r), r.i_q_true) for label, r in shown.items()]
         yield Panel(f"{name}: true i_q", "time [ms]", "i_q [A]", curves)
-    last = _shown(with_it)
+    last = _shown(with_compensation)
     yield Panel("bus voltage", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
 
 

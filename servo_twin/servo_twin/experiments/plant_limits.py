@@ -41,7 +41,7 @@ PROBE_HALVINGS: Final = 6
 """How often the step may be halved, for a large inertia, to stay within the current limit."""
 
 PATH_END: Final = 13.0
-"""Settling time of the path filter in time constants: (1 + t) exp(-t) is below two counts for every move."""
+"""Settling time of the path filter in time constants: then (1 + t) exp(-t) = 3e-5 of the ramp is left."""
 
 NOMINAL_PATH_END: Final = 0.13  # settling time of the path filter for the nominal plant [s]
 
@@ -61,7 +61,7 @@ class NominalShaft:
 class Demand:
     """Requirements of a set-point."""
 
-    acceleration: float
+    acceleration_per_speed: float
     """Largest acceleration per speed of the ramp; the path filter makes them proportional [1/s]."""
     current: float  # current limit [A]
 
@@ -186,7 +186,7 @@ def path_ends(plant: PlantConfig, seed: int) -> list[float]:
 
     With E40 and damping 1, a speed step v has a largest acceleration of v omega_n / e.
     """
-    return [PATH_END / (math.e * demand.acceleration) for demand in path_demands(plant, seed)]
+    return [PATH_END / (math.e * demand.acceleration_per_speed) for demand in path_demands(plant, seed)]
 
 
 def path_settles(plant: PlantConfig, seed: int, nominal: float) -> list[float]:
@@ -267,7 +267,7 @@ def top_speed(
 def _drives(plant: PlantConfig, axis: int, speed: float, demand: Demand | None, share: float) -> bool:
     """True if current and voltage are sufficient."""
     entry = plant.axes[axis]
-    acceleration = 0.0 if demand is None else demand.acceleration * speed
+    acceleration = 0.0 if demand is None else demand.acceleration_per_speed * speed
     maximum = (entry.inertia * acceleration + entry.friction) / entry.torque_constant
     # E38: at nine tenths of the speed the acceleration has decreased to a fifth.
     at_speed = (0.2 * entry.inertia * acceleration + entry.friction + entry.viscous * speed) / entry.torque_constant
