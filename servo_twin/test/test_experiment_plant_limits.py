@@ -94,8 +94,8 @@ class TestTopSpeed:
         speed = top_speed(small, [0, 1], SPEED)
         energy = 0.5 * (plant.axes[0].inertia + plant.axes[1].inertia) * speed**2
         lifted = math.sqrt(small.bus.u_source**2 + 2.0 * energy / small.bus.capacitance)
-        assert lifted < plant_limits.OVER_VOLTAGE
-        assert lifted > plant_limits.OVER_VOLTAGE - 1.0
+        assert lifted < plant_limits.over_voltage()
+        assert lifted > plant_limits.over_voltage() - 1.0
         assert top_speed(small, [0], SPEED) > speed
 
     def test_a_low_supply_lowers_the_top_speed(self, plant: PlantConfig) -> None:
@@ -103,7 +103,7 @@ class TestTopSpeed:
         speed = top_speed(low, [0], SPEED)
         emf = plant.axes[0].pole_pairs * plant.axes[0].psi_m * speed
         assert speed < SPEED
-        assert 0.8 * plant_limits.MODULATION * 18.0 < emf < plant_limits.MODULATION * 18.0
+        assert 0.8 * plant_limits.modulation() * 18.0 < emf < plant_limits.modulation() * 18.0
 
     def test_unreachable_demand_is_refused(self, plant: PlantConfig) -> None:
         with pytest.raises(SimulationError, match="not feasible with this plant"):

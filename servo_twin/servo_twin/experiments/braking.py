@@ -13,7 +13,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.experiments.plant_limits import OVER_VOLTAGE, top_speed
+from servo_twin.experiments.plant_limits import over_voltage, top_speed
 from servo_twin.experiments.rig import RPM, TICK, command_speed, flags_of, largest, set_axis, set_up, spinning
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -193,7 +193,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     resistor = plant.bus.r_brake or RESISTOR
     without, with_one = stop(plant, seed, speed, 0.0), stop(plant, seed, speed, resistor)
     budget = use_budget(plant, seed, resistor)
-    yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, OVER_VOLTAGE)
+    yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, over_voltage())
     judge = Judge("resistor: ", NOT_SHOWN)
     yield from _rows_bus(judge, plant, speed, with_one, _with_resistor(plant, speed, resistor))
     yield judge("energy dissipated in the resistor", with_one.dissipated[-1], "J", 0.0, kinetic(plant, speed))
@@ -225,7 +225,7 @@ def _with_resistor(plant: PlantConfig, speed: float, resistor: float) -> float:
     current = sum(_returned(axis, speed) for axis in plant.axes) / ON
     excess = max(current - ON / resistor, 0.0)
     if excess > 0.0:
-        return OVER_VOLTAGE
+        return over_voltage()
     return ON + current * FILTER_DELAY / plant.bus.capacitance + MARGIN
 
 

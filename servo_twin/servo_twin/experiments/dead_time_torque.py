@@ -7,24 +7,14 @@ stays at zero until the controller has compensated the error; about 60 mA are lo
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.tuning.configuration import Axis
-from servo_msgs_py.tuning.reading import parse
 
 from servo_twin.experiments.rig import COUNT, TICK, Recording
-from servo_twin.firmware_build import servo_table
+from servo_twin.firmware_build import nominal_configuration
 from servo_twin.plant import PlantConfig
-
-
-@functools.cache
-def _tuning() -> tuple[Axis, ...]:
-    """Nominal values of the axes in servo.toml."""
-    return parse(servo_table(), Catalogue.load()).axes
 
 
 def displacement(
@@ -61,7 +51,7 @@ def response(
     plant, axis, position, heavier
         See `displacement`.
     """
-    tuning, inertia = _tuning()[axis], plant.axes[axis].inertia
+    tuning, inertia = nominal_configuration().axes[axis], plant.axes[axis].inertia
     speed_loop = 2.0 * math.pi * tuning("control.speed_bandwidth")
     corner = speed_loop / tuning("control.speed_ratio")
     bandwidth = speed_loop / heavier

@@ -17,7 +17,7 @@ from servo_msgs_py.tuning.field_weakening import top_speed as speed_left
 
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.experiments.plant_limits import MODULATION
+from servo_twin.experiments.plant_limits import modulation, over_voltage
 from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, record, set_up, spinning
 from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -40,7 +40,6 @@ STEP: Final = LOADS[1]  # load step that is feasible at rated speed
 SAGS: Final = (22.0, 20.0, 17.5)  # [V]
 SAG_LOAD: Final = 0.03  # [N m]
 BOTH_SAG: Final = 20.0  # [V]
-OVER_VOLTAGE: Final = 33.0  # limit of the drive [V]
 NOISE: Final = 0.5  # noise of the bus voltage [V]
 FAULT_SEEN: Final = 0.1  # [s]
 HOT: Final = 110.0  # temperature of the power stage: a fault with coasting [deg C]
@@ -69,12 +68,12 @@ Events = Mapping[float, Callable[[Board], object]]
 
 def free_voltage(recording: Recording) -> NDArray[np.float64]:
     """Voltage limit minus stator voltage [V]."""
-    return np.asarray(MODULATION * recording.u_dc - np.hypot(recording.u_d, recording.u_q))
+    return np.asarray(modulation() * recording.u_dc - np.hypot(recording.u_d, recording.u_q))
 
 
 def theoretical_speed(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
     """Theoretical speed for this voltage and current, at most RATED [rad/s]."""
-    voltage = MODULATION * volts - (MARGIN if weak else 0.0)
+    voltage = modulation() * volts - (MARGIN if weak else 0.0)
 
     def torque(speed: float) -> float:
         return load + axis.friction + axis.viscous * speed
@@ -163,7 +162,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     grid = np.linspace(0.5 * RATED, 1.1 * RATED, 121)
     curves: list[Curve] = []
     for weak, how in ((False, "without"), (True, "with")):
-        voltage = MODULATION * volts - (MARGIN if weak else 0.0)
+        voltage = modulation() * volts - (MARGIN if weak else 0.0)
         torques = [largest_torque(axis, CURRENT, w, voltage, -I_D_MAX if weak else 0.0).torque for w in grid]
         rest = np.maximum(np.array(torques) - axis.friction - axis.viscous * grid, 0.0)
         curves.append(Curve(f"{how}, theory", grid / RPM, 1e3 * rest))
@@ -258,7 +257,7 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield judge.true("detected", found.size > 0)
         yield judge.none("still in RUN in the tick of the fault", after.state[0] == recording.state[0])
         yield judge("current after the next tick", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
-        maximum = min(max(charged, emf) + NOISE, OVER_VOLTAGE)
+        maximum = min(max(charged, emf) + NOISE, over_voltage())
         yield judge("highest bus voltage", after.u_dc.max(), "V", 0.0, maximum)
 
 

@@ -17,9 +17,9 @@ from servo_twin.experiments.sensorless import (
     back_emf,
     dead_voltage,
     ended,
-    ended_without_load,
     follow,
     limits_of,
+    remove_load_if_ended,
     started,
 )
 from servo_twin.plant import PlantConfig
@@ -84,7 +84,7 @@ def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequen
         for part in steps:
             speed = part * limit
             command_speed(board, axis, speed)
-            trace = follow(board, [axis], SETTLE + MEASURED, lambda _: ended_without_load(board, axis))[axis]
+            trace = follow(board, [axis], SETTLE + MEASURED, lambda _: remove_load_if_ended(board, axis))[axis]
             fastest = max(fastest, float(np.abs(trace.omega).max()))
             if why := ended(board, axis) or _not_held(trace, speed):
                 end = why

@@ -16,14 +16,9 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments import rig
 from servo_twin.experiments.rig import COUNT, TICK
+from servo_twin.firmware_build import nominal_configuration
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
-
-OVER_VOLTAGE: Final = 33.0
-"""Over-voltage limit of the drive [V]."""
-
-MODULATION: Final = 0.94 / math.sqrt(3.0)
-"""Largest phase voltage of the drive relative to the bus voltage."""
 
 CURRENT_SHARE: Final = 0.8
 """Fraction of the current limit for set-points; the remainder is for the controller."""
@@ -64,6 +59,16 @@ class Demand:
     acceleration_per_speed: float
     """Largest acceleration per speed of the ramp; the path filter makes them proportional [1/s]."""
     current: float  # current limit [A]
+
+
+def over_voltage() -> float:
+    """Over-voltage limit of the drive [V]."""
+    return nominal_configuration().board("over_voltage")
+
+
+def modulation() -> float:
+    """Largest phase voltage of the drive relative to the bus voltage."""
+    return nominal_configuration().board("voltage_use") / math.sqrt(3.0)
 
 
 def nominal_shafts(plant: PlantConfig, seed: int) -> tuple[NominalShaft, ...]:
@@ -272,7 +277,7 @@ def _drives(plant: PlantConfig, axis: int, speed: float, demand: Demand | None, 
     # E38: at nine tenths of the speed the acceleration has decreased to a fifth.
     at_speed = (0.2 * entry.inertia * acceleration + entry.friction + entry.viscous * speed) / entry.torque_constant
     return (demand is None or maximum <= share * demand.current) and _voltage(entry, speed, at_speed) <= (
-        MODULATION * plant.bus.u_source
+        modulation() * plant.bus.u_source
     )
 
 
@@ -299,4 +304,4 @@ def _voltage(axis: AxisPlant, speed: float, current: float) -> float:
 def _absorbs(plant: PlantConfig, axes: list[int], speed: float) -> bool:
     """True if the capacitor can absorb the kinetic energy; losses are neglected (safe side)."""
     energy = sum(0.5 * plant.axes[axis].inertia * speed**2 for axis in axes)
-    return energy <= ENERGY_SHARE * 0.5 * plant.bus.capacitance * (OVER_VOLTAGE**2 - plant.bus.u_source**2)
+    return energy <= ENERGY_SHARE * 0.5 * plant.bus.capacitance * (over_voltage() ** 2 - plant.bus.u_source**2)

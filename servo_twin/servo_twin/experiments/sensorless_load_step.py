@@ -14,7 +14,7 @@ from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import current_limits
 from servo_twin.experiments.rig import RPM, command_speed
-from servo_twin.experiments.sensorless import Trace, ended, ended_without_load, follow, limits_of, started
+from servo_twin.experiments.sensorless import Trace, ended, follow, limits_of, remove_load_if_ended, started
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "sensorless-load-step"
@@ -82,7 +82,7 @@ def _loaded(board: Board, axis: int, torque: float, speed: float) -> tuple[Trace
     end = ""
     for load in (torque, 0.0):
         board.set_load(axis, load)
-        traces.append(follow(board, [axis], LOADED, lambda _: ended_without_load(board, axis))[axis])
+        traces.append(follow(board, [axis], LOADED, lambda _: remove_load_if_ended(board, axis))[axis])
         end = end or ended(board, axis) or _slow(traces[-1], speed)
     return traces[0], end
 

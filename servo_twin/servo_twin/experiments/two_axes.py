@@ -13,7 +13,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_twin.board import Board
 from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.plant_limits import OVER_VOLTAGE, current_limits, top_speed
+from servo_twin.experiments.plant_limits import current_limits, over_voltage, top_speed
 from servo_twin.experiments.rig import RPM, TICK, Recording
 from servo_twin.plant import PlantConfig
 
@@ -139,7 +139,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         variation, minimum = np.ptp(together.u_dc), BUS_VARIATION_MIN * reversals.bus_rise(plant, 1 - observed)
         reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
         yield judge(
-            ", the other reverses: bus voltage variation", variation, "V", minimum, OVER_VOLTAGE - UNDER_VOLTAGE
+            ", the other reverses: bus voltage variation", variation, "V", minimum, over_voltage() - UNDER_VOLTAGE
         )
         yield judge(
             " rotates, the other reverses: additional deviation",
@@ -166,7 +166,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     speed = top_speed(plant, range(AXES), BRAKE_FROM)
     stop, judge = brake(plant, seed, speed), Judge("both brake: ", NOT_SHOWN)
     limit, faults = "not shown; the drive's limit is 33 V", np.bitwise_or.reduce(stop[0].faults | stop[1].faults)
-    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", maximum=OVER_VOLTAGE, reference=limit)
+    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", maximum=over_voltage(), reference=limit)
     yield judge.none("faults", faults, reference="none")
     for axis, r in stop.items():
         speed_left = np.abs(r.omega[-100:]).max() / RPM

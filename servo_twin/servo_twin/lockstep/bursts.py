@@ -178,7 +178,7 @@ class BurstSampler:
             self._alignments.append(alignment)
         self._settle(alignment.tick)
 
-    def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64], tick: int | None) -> None:
+    def add_burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64], tick: int | None) -> None:
         """Process a burst of the real board.
 
         Parameters
