@@ -52,10 +52,10 @@ class Line:
         self.rig.twin = self  # type: ignore[assignment]
 
     # ---- interface of the twin
-    def samples(self, columns: Any, table: Any) -> None:
+    def add_samples(self, columns: Any, table: Any) -> None:
         self.worker.add_samples(columns, table)
 
-    def command(self, command: Any) -> None:
+    def add_command(self, command: Any) -> None:
         self.worker.add_command(command)
 
     def step(self) -> list[Pair]:

@@ -120,10 +120,10 @@ def _supply(volts: float) -> Callable[[Board], object]:
 
 def _speed(judge: Judge, recording: Recording, target: float) -> Row:
     """Mean speed, compared with the theoretical one [rad/s]."""
-    says, target = f"{BEYOND}; {target / RPM:.0f} rpm in theory", target / RPM
+    reference, target = f"{BEYOND}; {target / RPM:.0f} rpm in theory", target / RPM
     speed = float(recording.omega.mean()) / RPM
     return judge(
-        "speed", speed, "rpm", (1.0 - SPEED_TOLERANCE) * target, (1.0 + SPEED_TOLERANCE) * target, reference=says
+        "speed", speed, "rpm", (1.0 - SPEED_TOLERANCE) * target, (1.0 + SPEED_TOLERANCE) * target, reference=reference
     )
 
 

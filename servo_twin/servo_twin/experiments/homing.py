@@ -322,13 +322,21 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge("largest distance beyond the edge", max(off), "counts", *BEYOND_EDGE)
     places.append(_places("switch", off, "x"))
     yield from missing(plant, seed)
-    it = unhomed(plant, seed)
+    unreferenced = unhomed(plant, seed)
     curves: list[Curve] = []
-    for axis, (stationary, turning) in enumerate(zip(it.stationary.values(), it.turning.values(), strict=True)):
-        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.start[axis]
-        named = stationary.limits[-1] & turning.limits[-1] & it.mask
+    for axis, (stationary, turning) in enumerate(
+        zip(unreferenced.stationary.values(), unreferenced.turning.values(), strict=True)
+    ):
+        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - unreferenced.start[axis]
+        named = stationary.limits[-1] & turning.limits[-1] & unreferenced.mask
         yield judge("motion by a refused far set-point", np.ptp(stationary.shaft), "counts", maximum=2.0)
-        yield judge("rotation by a speed set-point", direction.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
+        yield judge(
+            "rotation by a speed set-point",
+            direction.max(),
+            "counts",
+            0.9 * unreferenced.reach,
+            unreferenced.reach + 4.0,
+        )
         yield judge.true("limit flag set", bool(named))
         curves.append(Curve(axis_name(axis), turning.time, direction / COUNTS_PER_TURN))
     beyond = "distance from the stop minus friction / stiffness, or from the edge of a switch"

@@ -61,10 +61,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             ratio = rms[1] / max(rms[0], 1e-9)
             if rpm < RARE_EDGES:
                 rare.append(ratio)
-            says = "2.4.6: better" if rpm < RARE_EDGES else "2.4.6: no difference when edges come often"
+            reference = "2.4.6: better" if rpm < RARE_EDGES else "2.4.6: no difference when edges come often"
             position_error = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
-            yield judge("deviation, enhanced / plain", ratio, maximum=NOISE_RATIO_MAX, reference=says)
+            yield judge("deviation, enhanced / plain", ratio, maximum=NOISE_RATIO_MAX, reference=reference)
             yield judge("position error with enhanced M/T", position_error, "counts", maximum=POSITION_ERROR_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "

@@ -338,12 +338,12 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     exact = sum(a == b for a, b in zip(worked_example(), F19_FACTORS, strict=True))
     yield judge("F19, exact values", exact, "of 5", 5.0, 5.0, reference="1, 4/5, 4/8, 4/11, then 1/3")
     brake, slow = methods(plant, seed, braking, 0.1 + BRAKE_TIME + BRAKE_REST)
-    it, what, maximum = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
-    yield judge(what, it.deviation, "ticks", maximum=2.0, reference="F19: M2 / TMR3")
-    yield judge("T, stagnation", 1e3 * it.t, "ms", 5.0, reference="2.4.5: until the next pulse")
-    yield judge("M/T, stagnation", 1e3 * it.mt, "ms", 5.0, reference="F18: until the next pulse")
-    says = "F19: none beyond the slow loop"
-    yield judge("enhanced M/T, stagnation", 1e3 * it.enhanced, "ms", maximum=maximum, reference=says)
+    braked, what, maximum = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
+    yield judge(what, braked.deviation, "ticks", maximum=2.0, reference="F19: M2 / TMR3")
+    yield judge("T, stagnation", 1e3 * braked.t, "ms", 5.0, reference="2.4.5: until the next pulse")
+    yield judge("M/T, stagnation", 1e3 * braked.mt, "ms", 5.0, reference="F18: until the next pulse")
+    reference = "F19: none beyond the slow loop"
+    yield judge("enhanced M/T, stagnation", 1e3 * braked.enhanced, "ms", maximum=maximum, reference=reference)
     yield _error_panel(found)
     yield _brake_panel(brake, slow)
     yield f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts"

@@ -206,7 +206,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         free, limited = (run_to_speed_limit(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
         for name, *pair in zip(names, free, limited, strict=True):
             maximum, minimum = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
-            without, with_it = (float(np.abs(it.out.omega).max()) for it in pair)
+            without, with_it = (float(np.abs(one_run.out.omega).max()) for one_run in pair)
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
             yield judge("highest speed without the limit", without, "rad/s", minimum)
             yield judge("highest speed with the limit", with_it, "rad/s", maximum=maximum)
@@ -214,7 +214,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     free, limited = (run_to_current_limit(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
-        without, with_it = (float(np.abs(it.out.i_q_true).max()) for it in pair)
+        without, with_it = (float(np.abs(one_run.out.i_q_true).max()) for one_run in pair)
         maximum = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
         yield judge("largest current without the limit", without, "A", 1.5 * CURRENT_LIMIT)
         yield judge("largest current with the limit", with_it, "A", maximum=maximum)

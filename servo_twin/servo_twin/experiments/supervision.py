@@ -243,7 +243,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             )
             yield f"{what}without {_description(without, masks)}; with {_description(supervised, masks)}"
             ends = {"without": without, "with": supervised}
-            curves += [_until_off(f"{axis_name(axis)} {how}", it) for how, it in ends.items()]
+            curves += [_until_off(f"{axis_name(axis)} {how}", end) for how, end in ends.items()]
         yield Panel(f"{cause.name}: until the outputs are off", "time [s]", "speed [rad/s]", curves)
     for how, forward in (("", False), (", with feed-forward", True)):
         yield Judge().none(f"hard moves and load steps{how}: faults", permitted_operation(bench, forward))
