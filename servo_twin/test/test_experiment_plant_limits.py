@@ -15,7 +15,7 @@ from servo_twin.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, record, spinning
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace, choose_mode, command_speed, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -150,7 +150,7 @@ def test_true_position_tolerates_uneven_edges(beyond: float) -> None:
     position = np.floor(theta / COUNT) + 100.0
     position[0] += np.sign(beyond)
     silent, words = np.zeros(ticks.size), np.zeros(ticks.size, dtype=np.int64)
-    recording = Recording(
+    recording = AxisTrace(
         time=silent, position=position, position_ref=silent, speed_ref=silent, speed=silent, i_q_ref=silent, i_q=silent,
         i_d=silent, u_d=silent, u_q=silent,
         limits=words, faults=words, state=words, substate=words,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.experiments import position
-from servo_twin.experiments.rig import TICK, Recording, record, spinning
+from servo_twin.experiments.rig import TICK, AxisTrace, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -17,13 +17,13 @@ PLANT = PlantConfig.load()
 
 
 @pytest.fixture(scope="module")
-def still() -> Recording:
+def still() -> AxisTrace:
     """Two seconds of a shaft at rest."""
     with spinning(PlantConfig.load(), 1) as board:
         return record(board, [0], 2.0)[0]
 
 
-def moved(still: Recording, shape: NDArray[np.float64]) -> Recording:
+def moved(still: AxisTrace, shape: NDArray[np.float64]) -> AxisTrace:
     return dataclasses.replace(still, position=shape.astype(np.float64))
 
 
@@ -34,7 +34,7 @@ def test_short_moves_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def test_figures_of_a_known_shape(still: Recording) -> None:
+def test_figures_of_a_known_shape(still: AxisTrace) -> None:
     shape = np.full(still.time.size, TARGET)
     shape[:1000] = np.linspace(0, TARGET - 10, 1000)
     shape[1200] = TARGET + 7
@@ -47,14 +47,14 @@ def test_figures_of_a_known_shape(still: Recording) -> None:
     assert (back.overshoot, back.cycle) == (7.0, 1.0)
 
 
-def test_limit_cycle_is_detected(still: Recording) -> None:
+def test_limit_cycle_is_detected(still: AxisTrace) -> None:
     shape = TARGET + 2 * np.sign(np.sin(2.0 * np.pi * 10.0 * still.time))
     shape[0] = 0
     move = position.measure(moved(still, shape), TARGET, 0.0, PLANT, 0)
     assert move.cycle > position.COUNTS_MAX
 
 
-def test_a_shaft_that_does_not_arrive_never_settles(still: Recording) -> None:
+def test_a_shaft_that_does_not_arrive_never_settles(still: AxisTrace) -> None:
     move = position.measure(moved(still, np.zeros(still.time.size)), TARGET, 0.0, PLANT, 0)
     assert move.settling is None
     assert move.error == TARGET

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import RPM, TICK, Recording, record, set_up, spinning
+from servo_twin.experiments.rig import RPM, TICK, AxisTrace, record, set_up, spinning
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "bus-ripple"
@@ -48,7 +48,7 @@ def amplitude(signal: NDArray[np.float64], frequency: float) -> float:
     return float(2.0 * abs(np.mean((signal - signal.mean()) * wave)))
 
 
-def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recording:
+def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> AxisTrace:
     """Rotate an axis under load with a ripple of the supply."""
     plant = plant.with_bus(capacitance=capacitance(plant, axis))
     volts = plant.bus.u_source
@@ -93,9 +93,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield Panel("bus voltage", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
 
 
-def _shown(recording: Recording) -> Recording:
+def _shown(recording: AxisTrace) -> AxisTrace:
     return recording.part(0.5 * SETTLE, 0.5 * SETTLE + SHOWN)
 
 
-def _milliseconds(part: Recording) -> NDArray[np.float64]:
+def _milliseconds(part: AxisTrace) -> NDArray[np.float64]:
     return np.asarray(1e3 * (part.time - part.time[0]))

@@ -12,19 +12,19 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin.experiments.rig import COUNT, TICK, Recording
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
 from servo_twin.firmware_build import nominal_configuration
 from servo_twin.plant import PlantConfig
 
 
 def displacement(
-    recording: Recording, plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
+    recording: AxisTrace, plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
 ) -> NDArray[np.float64]:
     """Shaft displacement caused by the difference between true current and set-point [counts].
 
     Parameters
     ----------
-    recording : Recording
+    recording : AxisTrace
         Recording of the axis, with the true current.
     plant : PlantConfig
         Plant data.
@@ -68,14 +68,14 @@ def response(
 
 
 def displacement_counts(
-    recording: Recording, plant: PlantConfig, axis: int, after: float, heavier: float = 1.0
+    recording: AxisTrace, plant: PlantConfig, axis: int, after: float, heavier: float = 1.0
 ) -> float:
     """Largest displacement under position control after `after` [s], rounded to counts."""
     position_error = displacement(recording, plant, axis, position=True, heavier=heavier)
     return float(round(np.abs(position_error[recording.time > after]).max(initial=0.0)))
 
 
-def displacement_at(recording: Recording, plant: PlantConfig, axis: int, target: float, within: float) -> float:
+def displacement_at(recording: AxisTrace, plant: PlantConfig, axis: int, target: float, within: float) -> float:
     """Largest displacement after the set-point is within `within` counts of a target [counts]."""
     near = np.abs(recording.position_ref - target) <= within
     after = float(recording.time[int(np.argmax(near))])

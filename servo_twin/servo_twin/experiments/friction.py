@@ -16,7 +16,7 @@ from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import displacement, response
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import nominal_shafts
-from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
+from servo_twin.experiments.rig import COUNT, RPM, TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "friction"
@@ -60,7 +60,7 @@ def uncompensated(times: float) -> float:
     return abs(times - 1.0) / times
 
 
-def position_lag(recording: Recording) -> NDArray[np.float64]:
+def position_lag(recording: AxisTrace) -> NDArray[np.float64]:
     """Lag of the true shaft behind the integral of the speed set-point [counts]."""
     reference = np.cumsum(recording.speed_ref) * TICK
     return np.asarray((reference - (recording.theta - recording.theta[0])) / COUNT)
@@ -69,7 +69,7 @@ def position_lag(recording: Recording) -> NDArray[np.float64]:
 # ---- runs of both axes, without and with the feature -----------------------------------------------------------------
 
 
-def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
     """Start from standstill to a low speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -80,7 +80,7 @@ def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
         return rig.record(board, range(AXES), START_TIME)
 
 
-def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
     """Sinusoidal speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -93,7 +93,7 @@ def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recordin
         return rig.record(board, range(AXES), SETTLE + MEASURED, act)
 
 
-def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
     """Sinusoidal position, with feed-forward of speed and acceleration in both runs."""
     with rig.spinning(plant, seed) as board:
         starts = [rig.position_of(board, axis) for axis in range(AXES)]
@@ -125,7 +125,7 @@ def expected_at_start(shaft: Shaft, fraction: float) -> float:
     return _rms(response(torques, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier))
 
 
-def lost_at_start(recording: Recording, shaft: Shaft) -> float:
+def lost_at_start(recording: AxisTrace, shaft: Shaft) -> float:
     """RMS position lag, without the part caused by the inverter [counts]."""
     return _rms(
         position_lag(recording)
@@ -133,7 +133,7 @@ def lost_at_start(recording: Recording, shaft: Shaft) -> float:
     )
 
 
-def lost_at_reversals(recording: Recording, shaft: Shaft) -> float:
+def lost_at_reversals(recording: AxisTrace, shaft: Shaft) -> float:
     """RMS of the position lag about its mean, over whole periods, without the part of the inverter [counts]."""
     position = position_lag(recording) + displacement(
         recording, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier
@@ -142,7 +142,7 @@ def lost_at_reversals(recording: Recording, shaft: Shaft) -> float:
     return _rms(position - position.mean())
 
 
-def following_error(recording: Recording, shaft: Shaft) -> float:
+def following_error(recording: AxisTrace, shaft: Shaft) -> float:
     """RMS of the true following error, over whole periods, without the part caused by the inverter [counts]."""
     cost = displacement(recording, shaft.plant, shaft.axis, position=True, heavier=shaft.heavier)
     return _rms((recording.position_ref - recording.shaft + cost)[round(SETTLE / TICK) :])
@@ -154,11 +154,11 @@ class Task:
 
     name: str
     note: str  # name in the notes
-    run: Callable[[PlantConfig, int, bool], dict[int, Recording]]  # runs both axes, without or with the feature
+    run: Callable[[PlantConfig, int, bool], dict[int, AxisTrace]]  # runs both axes, without or with the feature
     figure: str
-    measure: Callable[[Recording, Shaft], float]  # RMS figure [counts]
+    measure: Callable[[AxisTrace, Shaft], float]  # RMS figure [counts]
     label: str
-    signal: Callable[[Recording], NDArray[np.float64]]  # curve of the picture [counts]
+    signal: Callable[[AxisTrace], NDArray[np.float64]]  # curve of the picture [counts]
     shown: float  # start of the picture [s]
 
 
@@ -176,7 +176,7 @@ TASKS: Final = (
 )  # fmt: skip
 
 
-def deviation_max(task: Task, without: Recording, shaft: Shaft, fraction: float) -> float:
+def deviation_max(task: Task, without: AxisTrace, shaft: Shaft, fraction: float) -> float:
     """Permitted remaining error [counts]: part of the uncompensated friction, and encoder quantisation.
 
     With a larger inertia the loop is slower, and the quantisation error increases by the same factor.
@@ -216,7 +216,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 
 def _note(
-    times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, Recording], dict[int, Recording]]]
+    times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, AxisTrace], dict[int, AxisTrace]]]
 ) -> str:
     """Note with the figures and the part caused by the inverter."""
     parts = [
@@ -239,7 +239,7 @@ def _note(
     )
 
 
-def _panel(title: str, task: Task, shown: Mapping[str, Recording]) -> Panel:
+def _panel(title: str, task: Task, shown: Mapping[str, AxisTrace]) -> Panel:
     first = round(task.shown / TICK)
     curves = [Curve(how, r.time[first:], task.signal(r)[first:]) for how, r in shown.items()]
     return Panel(title, "time [s]", f"{task.label} [counts]", curves)

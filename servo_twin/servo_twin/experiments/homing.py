@@ -19,7 +19,7 @@ from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.pins import fit
 from servo_twin.experiments.plant_limits import ripple
-from servo_twin.experiments.rig import COUNT, TICK_NS, Recording
+from servo_twin.experiments.rig import COUNT, TICK_NS, AxisTrace
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
 
@@ -275,8 +275,8 @@ class Unhomed:
     """Axes with the feature HOMING that are not homed, with a far position and a speed as set-points."""
 
     start: list[int]  # position at the enable [counts]
-    stationary: dict[int, Recording]  # after the far position set-point
-    turning: dict[int, Recording]  # with the speed set-point
+    stationary: dict[int, AxisTrace]  # after the far position set-point
+    turning: dict[int, AxisTrace]  # with the speed set-point
     reach: float  # permitted distance [counts]
     mask: int  # bit of the expected limit
 

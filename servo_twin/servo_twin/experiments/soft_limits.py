@@ -16,7 +16,7 @@ from servo_twin.board import Board
 from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles, ripple
-from servo_twin.experiments.rig import COUNT, TICK, Recording
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "soft-limits"
@@ -87,9 +87,9 @@ class Run:
     """Run of one axis into a limit."""
 
     limit: int  # position limit [counts]
-    out: Recording
+    out: AxisTrace
     reported: float  # fraction of the time in which axisN.limits reported the limit
-    back: Recording | None = None  # motion away from the limit
+    back: AxisTrace | None = None  # motion away from the limit
 
     @property
     def beyond(self) -> float:
@@ -97,7 +97,7 @@ class Run:
         return float((self.out.shaft - self.limit).max())
 
 
-def _reported(recording: Recording, mask: int, seconds: float = FLAG_LAST) -> float:
+def _reported(recording: AxisTrace, mask: int, seconds: float = FLAG_LAST) -> float:
     words = recording.limits[-round(seconds / TICK) :]
     return float(np.mean((words & mask) != 0))
 
@@ -134,7 +134,7 @@ def load_overtravel(plant: PlantConfig, seed: int, limited: bool) -> list[float]
     return [float((both[axis].shaft - limit).max()) for axis, limit in enumerate(limits)]
 
 
-def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Recording]]:
+def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, AxisTrace]]:
     """Set the upper limit below the present position of both shafts; then a target beyond it, and one inside."""
     settle = max(path_settles(plant, seed, SETTLE))
     with rig.spinning(plant, seed) as board:
