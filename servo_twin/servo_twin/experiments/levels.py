@@ -123,13 +123,15 @@ def overview(entries: Sequence[Mapping[str, Any]]) -> str:
     rows.append("|---|---:|---:|---|---|---|---|")
     for name in dict.fromkeys(_experiment(entry) for entry in entries):
         own = [entry for entry in entries if _experiment(entry) == name]
-        largest = max(own, key=relative_difference)
-        cells = [""] * 3
-        if relative_difference(largest) > 0.0:
-            sides = [largest[level] for level in LEVELS]
+        measured = [entry for entry in own if entry["difference"] is not None]
+        largest = max(measured, key=lambda entry: (relative_difference(entry), abs(entry["difference"])), default=None)
+        figure, cells = "none has values at both levels", [""] * 3
+        if largest is not None and largest["difference"] == 0.0:
+            figure = "none differs"
+        elif largest is not None:
+            figure, sides = largest["name"].partition(": ")[2], [largest[level] for level in LEVELS]
             cells = [f"{_text(side['measured'])} {largest['unit']}".strip() for side in sides]
             cells.append("; ".join(dict.fromkeys(side["bound"] for side in sides)))
-        figure = largest["name"].partition(": ")[2] if relative_difference(largest) > 0.0 else "none differs"
         agree = sum(entry["agrees"] for entry in own)
         rows.append(f"| `{name}` | {len(own)} | {agree} | {figure} | {' | '.join(cells)} |")
     agree = sum(entry["agrees"] for entry in entries)
