@@ -87,8 +87,8 @@ void servo_over_current_isr(servo_t *servo, uint16_t axis);
 void servo_background(servo_t *servo);
 
 /* Access for hosts without a serial line, as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Does
- * not reset the time-out of HOST_SILENT, which supervises the serial line. */
-uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
-uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
+ * not reset the timeout of HOST_SILENT, which supervises the serial line. */
+fm_status_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
+fm_status_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
 
 #endif
