@@ -63,7 +63,7 @@ typedef struct servo {
     uint16_t point_refusal; /* point_refusal_t of the last refused write */
     volatile uint16_t host_commands; /* commands and keep-alives received; written by the background loop only */
     uint16_t host_commands_seen; /* `host_commands` at the last supervision */
-    uint16_t host_silence; /* slow ticks without a command or keep-alive */
+    uint16_t host_idle_ticks; /* slow ticks without a command or keep-alive */
     bool host_seen; /* a command was received since reset */
     event_log_t event_log;
     freemaster_t freemaster;
@@ -87,7 +87,7 @@ void servo_over_current_isr(servo_t *servo, uint16_t axis);
 void servo_background(servo_t *servo);
 
 /* Access for hosts without a serial line, as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Does
- * not reset the timeout of HOST_SILENT, which supervises the serial line. */
+ * not restart the timeout of HOST_SILENT, which supervises the serial line. */
 fm_status_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
 fm_status_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
 

@@ -120,7 +120,7 @@ static void observe_stall(axis_t *axis)
 }
 
 /* Start of the stall test: locate the rotor before the fault is raised. */
-static void spin_align(axis_t *axis)
+static void spin_stall_test(axis_t *axis)
 {
     sensorless_estimate_stop(axis);
     axis->fast = LOOP_FAST;
@@ -428,7 +428,7 @@ static void judge_shaft(axis_t *axis, finding_set_t findings)
 {
     const finding_set_t findings_enabled = fault_enabled(findings, axis->latch.enabled);
     if (findings_enabled == FOUND(FINDING_SHAFT_BLOCKED) && axis->enable_requested && !axis->sensorless) {
-        spin_align(axis);
+        spin_stall_test(axis);
     } else {
         axis_raise(axis, findings_enabled);
     }

@@ -91,7 +91,7 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
 /* ---- DC bus and monitor outputs --------------------------------------------------------------------------------- */
 
 /* Switch of the brake resistor between bus voltage and ground. */
-void hal_brake(hal_t *hal, bool on);
+void hal_brake_resistor(hal_t *hal, bool on);
 
 /* Two slow analogue outputs for an oscilloscope; 0: 0 V, 65535: full voltage. */
 #define HAL_ANALOG_OUTS 2
@@ -125,6 +125,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
  * sector or word are undefined; the data flash cannot be read during a command. */
 #define HAL_FLASH_SECTORS 4U
 #define HAL_FLASH_SECTOR_WORDS 256U
+#define HAL_FLASH_ERASED UINT32_C(0xFFFFFFFF) /* word of an erased sector */
 
 typedef enum {
     HAL_FLASH_DONE,

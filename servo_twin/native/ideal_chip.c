@@ -281,7 +281,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return plant_sink_code(&hal->plant, axis); }
 
-void hal_brake(hal_t *hal, bool on) { supply_switch(&hal->plant.bus, on); }
+void hal_brake_resistor(hal_t *hal, bool on) { supply_switch(&hal->plant.bus, on); }
 
 uint16_t hal_inputs(hal_t *hal, uint16_t axis)
 {

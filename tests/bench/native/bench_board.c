@@ -233,7 +233,7 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
     return (uint16_t)(700U + axis);
 }
 
-void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+void hal_brake_resistor(hal_t *hal, bool on) { hal->brake_resistor = on; }
 
 uint16_t hal_inputs(hal_t *hal, uint16_t axis)
 {

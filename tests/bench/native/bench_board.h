@@ -41,7 +41,7 @@ struct hal {
     uint16_t sent;
     uint16_t watchdog;
     uint16_t monitor[HAL_ANALOG_OUTS];
-    bool brake;
+    bool brake_resistor;
     bench_motor_t motor[HAL_AXES];
     uint32_t period;
 };
