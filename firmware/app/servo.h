@@ -77,7 +77,7 @@ void servo_init(servo_t *servo, hal_t *hal);
 void servo_restore(servo_t *servo);
 void servo_host_init(servo_t *servo);
 
-/* Interrupts: t1 and t3 of DRM F34, latched encoder edge, hardware over-current latch. */
+/* Interrupts: t1 and t3 of DRM F34, captured encoder edge, hardware over-current latch. */
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);
 void servo_edge_isr(servo_t *servo, uint16_t axis);

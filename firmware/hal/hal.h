@@ -34,7 +34,7 @@ typedef struct {
     uint16_t second; /* code of the second phase of the pair */
 } adc_pair_t;
 
-/* Encoder counter and free-running time stamp (bus clock / 128), both latched by the same B edge (DRM F17). */
+/* Encoder counter and free-running time stamp (bus clock / 128), both captured at the same B edge (DRM F17). */
 typedef struct {
     uint16_t count; /* encoder counts, 16 bits */
     uint16_t time; /* ticks of bus clock / 128 */
@@ -106,14 +106,14 @@ void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 /* TMRx2: number of emulated index pulses, counts upwards in both directions of rotation (F13). */
 uint16_t hal_index_count(hal_t *hal, uint16_t axis);
 
-/* Clear the capture flags of TMRx0/1/3 and arm the B-edge interrupt; the next B edge is latched, later ones are not. */
+/* Clear the capture flags of TMRx0/1/3 and arm the B-edge interrupt; the next B edge is captured, later ones are not. */
 void hal_capture_arm(hal_t *hal, uint16_t axis);
 
-/* If a B edge has been latched since arming: store it, disarm the interrupt and return true. A second call before the
+/* If a B edge has been captured since arming: store it, disarm the interrupt and return true. A second call before the
  * next arming returns false. */
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
 
-/* TMRx3: time since the last latched B edge in units of bus clock / 128; HAL_EDGE_AGE_OVERFLOW once 16 bits are not
+/* TMRx3: time since the last captured B edge in units of bus clock / 128; HAL_EDGE_AGE_OVERFLOW once 16 bits are not
  * enough (F19). */
 #define HAL_EDGE_AGE_OVERFLOW UINT32_C(0x10000)
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis);

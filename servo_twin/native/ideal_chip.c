@@ -187,7 +187,7 @@ static void grid(hal_t *chip)
     chip->sampled = 1 - sampled;
     chip->grid_ns += plant->step_ns;
     for (int i = 0; i < HAL_AXES; i++) {
-        if (plant->axis[i].encoder.latched && awake(chip)) {
+        if (plant->axis[i].encoder.captured && awake(chip)) {
             servo_edge_isr(chip->servo, (uint16_t)i);
         }
     }

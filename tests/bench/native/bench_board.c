@@ -89,7 +89,7 @@ static void turn_encoder(bench_motor_t *motor, bench_registers_t *registers, uin
         motor->edge_time = begin + (timer(period + 1U) - begin) * (uint32_t)part / (uint32_t)moved;
         if (registers->armed) {
             registers->edge = (edge_capture_t){(uint16_t)(edge % COUNTS), (uint16_t)motor->edge_time};
-            registers->latched = true;
+            registers->captured = true;
             registers->armed = false;
         }
     }
@@ -171,11 +171,11 @@ void hal_capture_arm(hal_t *hal, uint16_t axis) { hal->axis[axis].armed = true; 
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
 {
     bench_registers_t *a = &hal->axis[axis];
-    if (!a->latched) {
+    if (!a->captured) {
         return false;
     }
     *capture = a->edge;
-    a->latched = false;
+    a->captured = false;
     return true;
 }
 

@@ -21,7 +21,7 @@ typedef struct {
     uint16_t count;
     uint16_t index;
     bool armed;
-    bool latched;
+    bool captured;
     edge_capture_t edge;
     uint32_t edge_age;
 } bench_registers_t;
