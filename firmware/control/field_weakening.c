@@ -14,8 +14,8 @@ static frac32_t squared_voltage_reserve(frac16_t target, dq_t demand)
 /* Below half of the target voltage the back-EMF is not the cause of a high voltage. */
 static bool emf_is_high(frac16_t emf, frac16_t target) { return 2 * i32_abs(emf) > target; }
 
-/* Change of the field-weakening current -i_d in this tick: K (|u|^2 - u_target^2), within the slew rate. Field weakening
- * begins when this becomes positive. */
+/* Change of the field-weakening current -i_d in this tick: K (|u|^2 - u_target^2), within the slew rate. Field
+ * weakening begins when this becomes positive. */
 static frac32_t i_d_change(const field_weakening_config_t *config, const field_weakening_input_t *input)
 {
     const frac32_t slew = asr32(f32_from_f16(config->i_d_max), SLEW_SHIFT);

@@ -1,7 +1,7 @@
 #include "drive/bus_braking.h"
 
 #define RESTED (FRAC32_MAX / 2) /* the resistor is enabled again after cooling to this heat */
-#define LEAD_TICKS 4
+#define LEAD_TICKS 4 /* slow ticks: 2 ms */
 
 void bus_braking_init(bus_braking_t *braking) { *braking = (bus_braking_t){.regen_derating = FRAC16_MAX}; }
 
