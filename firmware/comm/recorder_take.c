@@ -19,8 +19,7 @@ static uint32_t number_at(const uint8_t *at, uint8_t size)
     return number;
 }
 
-/* is_above for the cases that it does not handle: values that are not aligned or have 1 or 8 bytes, and thresholds that are
- * variables. */
+/* is_above for the other cases: values that are not aligned or have 1 or 8 bytes, and thresholds that are variables. */
 static NOINLINE bool is_above_general(const recorder_slot_t *slot)
 {
     const bool wide = slot->size > 4;
