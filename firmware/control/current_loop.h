@@ -8,7 +8,7 @@
 
 typedef struct {
     pi_gains_t d; /* Kp = omega_c L_d, Kp Ki Ts = omega_c R_s T: the zero cancels the pole of the winding */
-    pi_gains_t q; /* the same with L_q */
+    pi_gains_t q; /* Kp = omega_c L_q, Kp Ki Ts = omega_c R_s T */
     gain_t omega_l_d;  /* omega_e L_d i: full-scale speed x L_d x full-scale current / full-scale voltage */
     gain_t omega_l_q;  /* omega_e L_q i, scaled as omega_l_d; DRM E20 and E21 have one L_s, this rotor is salient */
     gain_t omega_psi;  /* omega_e psi_m */
