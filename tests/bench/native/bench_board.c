@@ -156,9 +156,9 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
 
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on) { hal->axis[axis].enabled = on; }
 
-bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].broken; }
+bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].tripped; }
 
-void hal_over_current_clear(hal_t *hal, uint16_t axis) { hal->axis[axis].broken = false; }
+void hal_over_current_clear(hal_t *hal, uint16_t axis) { hal->axis[axis].tripped = false; }
 
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis) { return hal->axis[axis].count; }
 

@@ -17,7 +17,7 @@ typedef struct {
     phase_pair_t pair;
     int16_t duty[3];
     bool enabled;
-    bool broken;
+    bool tripped;
     uint16_t count;
     uint16_t index;
     bool armed;
