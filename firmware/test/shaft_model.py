@@ -56,7 +56,7 @@ class Shaft:
             if self.locked:
                 self.speed = 0.0
             if self.locked or (self.speed == 0.0 and abs(torque) <= self.friction):
-                continue
+                return  # at rest until the vector changes
             direction = math.copysign(1.0, self.speed if self.speed != 0.0 else torque)
             speed = self.speed + (torque - direction * self.friction) / self.inertia * dt
             self.speed = 0.0 if speed * direction < 0.0 else speed  # friction does not reverse the motion

@@ -64,8 +64,9 @@ def search(
         if driven:
             turned = math.remainder(vector - before, 2.0 * math.pi) if s.phase == TURN else 0.0
             across = shaft.emf_across(vector) + turned / SLOW * INDUCTANCE * current
+            measured, voltage = s.current >> 16, round(across / FULL_VOLTAGE * 32768)
             for _ in range(PERIODS):
-                core.lib.rotor_search_add(s, config, s.current >> 16, round(across / FULL_VOLTAGE * 32768))
+                core.lib.rotor_search_add(s, config, measured, voltage)
         before = vector
         searches = s.searches
         if s.phase not in (VERIFY, TURN):
