@@ -31,7 +31,7 @@ setup(
     ],
     zip_safe=False,
     python_requires=">=3.10",
-    install_requires=["numpy", "pyserial>=3.5", "servo_msgs_py", 'tomli; python_version < "3.11"'],
+    install_requires=["numpy", "pyserial>=3.5", "servo_msgs_py"],
     extras_require={
         "plot": ["matplotlib"],
         "ros": ["servo_msgs_py[ros]"],

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import sys
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from servo_bridge.freemaster.frames import crc8, encode_uleb
+from servo_msgs_py.toml import tomllib
 from servo_twin.board import Board
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PASSWORDS = {"command": b"drive", "tune": b"gains"}
 NEEDED, OK = 0x91, 0x00

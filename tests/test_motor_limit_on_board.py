@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import copy
 import math
-import sys
 from collections.abc import Callable
 from typing import Any, Final
 
 import pytest
 from servo_msgs_py.convert import state_label
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 from servo_twin.plant import PlantConfig
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 LIMIT: Final = 1.0
 """Current limit of the motor of axis 1 [A]."""

@@ -14,7 +14,7 @@ from line_simulation import SimulatedLine
 from numpy.typing import NDArray
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
-from servo_bridge.tool_commands import Context, Runner
+from servo_bridge.tool_commands import CommandFunction, Context
 from servo_bridge.tool_values import UsageError
 from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import Session, connect
@@ -52,7 +52,7 @@ class ToolBench:
         if self.session is None:
             client = Client(Line(self.line, baud=BAUD, clock=self.line.clock))
             self.session = connect(client, Catalogue.load())
-        run: Runner = args.run
+        run: CommandFunction = args.run
         return run(Context(args, Catalogue.load(), self.session, "line", BAUD, LowLatency(True, "")))
 
     def raw(self, name: str) -> list[int]:

@@ -19,7 +19,7 @@ from servo_twin.board import Board
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
-    Recording,
+    AxisTrace,
     choose_mode,
     command_position,
     command_speed,
@@ -55,7 +55,7 @@ def feedback_alone(board: Board, axis: int, observed: bool = False) -> None:
     features(board, axis, SPEED_OBSERVER=observed, FRICTION=False, SPEED_FORWARD=False, ACCELERATION_FORWARD=False)
 
 
-def multi_sine_response(plant: PlantConfig, axis: int, amplitude: float, observed: bool) -> Recording:
+def multi_sine_response(plant: PlantConfig, axis: int, amplitude: float, observed: bool) -> AxisTrace:
     """Speed control with a multi-sine on a constant speed."""
     warm, measured = 0.3, 1.0
     phases = [k * k * math.pi / len(FREQUENCIES) for k in range(len(FREQUENCIES))]  # phases with a low crest factor

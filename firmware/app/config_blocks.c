@@ -103,7 +103,7 @@ static uint16_t write_header(config_blocks_t *blocks, const uint8_t *data)
         return CONFIG_REFUSAL_CHECKSUM;
     }
     blocks->checksum[axis] = sum;
-    blocks->rest_member[axis] = rest_difference(block, config_blocks_block(blocks, (uint16_t)axis));
+    blocks->rest_member[axis] = rest_difference(block, config_blocks_in_force(blocks, (uint16_t)axis));
     blocks->ready[axis] = true;
     return CONFIG_REFUSAL_NONE;
 }
@@ -146,7 +146,7 @@ void config_blocks_show(const config_blocks_t *blocks, config_request_t *request
     if (request->window[CONFIG_COUNT] != 0) {
         return;
     }
-    const axis_config_t *block = config_blocks_block(blocks, (uint16_t)request->window[CONFIG_AXIS]);
+    const axis_config_t *block = config_blocks_in_force(blocks, (uint16_t)request->window[CONFIG_AXIS]);
     const uint16_t first = (uint16_t)request->window[CONFIG_FIRST];
     for (uint16_t k = 0; k < CONFIG_TOGETHER && first + k < AXIS_MEMBERS; k++) {
         request->window[CONFIG_VALUES + k] = axis_member_get(block, (uint16_t)(first + k));
@@ -167,8 +167,8 @@ void config_blocks_init(config_blocks_t *blocks, config_status_t *status)
 void config_blocks_begin(config_blocks_t *blocks, config_status_t *status)
 {
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        *spare(blocks, i) = *config_blocks_block(blocks, i);
-        status->checksum[i] = checksum(config_blocks_block(blocks, i), i);
+        *spare(blocks, i) = *config_blocks_in_force(blocks, i);
+        status->checksum[i] = checksum(config_blocks_in_force(blocks, i), i);
     }
 }
 
@@ -218,7 +218,7 @@ bool config_blocks_latch(config_blocks_t *blocks, config_status_t *status, param
         if (!holds(blocks->pending, i)) {
             continue;
         }
-        const axis_config_t *before = config_blocks_block(blocks, i);
+        const axis_config_t *before = config_blocks_in_force(blocks, i);
         const axis_config_t *after = spare(blocks, i);
         axis_take_config(&axes[i], after);
         renew_parameters(parameter, i, before, after);

@@ -21,12 +21,11 @@ typedef struct {
     uint16_t pending; /* axes whose spare block is to be activated, one bit each */
 } config_blocks_t;
 
-/* Initialise the blocks in force with the built-in values. config_blocks_restore may change them until
- * config_blocks_begin. */
+/* Initialise the blocks in force with the built-in values. Stored values may replace them until config_blocks_begin. */
 void config_blocks_init(config_blocks_t *blocks, config_status_t *status);
 
-/* Block in force, writable before config_blocks_begin. */
-static inline axis_config_t *config_blocks_restore(config_blocks_t *blocks, uint16_t axis)
+/* Block in force, to be written before config_blocks_begin only. */
+static inline axis_config_t *config_blocks_writable(config_blocks_t *blocks, uint16_t axis)
 {
     return &blocks->block[axis][blocks->in_force[axis]];
 }
@@ -35,7 +34,7 @@ static inline axis_config_t *config_blocks_restore(config_blocks_t *blocks, uint
 void config_blocks_begin(config_blocks_t *blocks, config_status_t *status);
 
 /* Block in force. */
-static inline const axis_config_t *config_blocks_block(const config_blocks_t *blocks, uint16_t axis)
+static inline const axis_config_t *config_blocks_in_force(const config_blocks_t *blocks, uint16_t axis)
 {
     return &blocks->block[axis][blocks->in_force[axis]];
 }

@@ -130,7 +130,7 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
 void latch_board(const parameter_block_t *parameter, board_settings_t *settings)
 {
     settings->host_timeout = parameter->host_timeout;
-    settings->brake_fitted = parameter->brake == 1U;
+    settings->brake_resistor_fitted = parameter->brake == 1U;
     for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         settings->monitor[i] = parameter->monitor[i];
     }

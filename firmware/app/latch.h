@@ -1,4 +1,7 @@
-/* latch.h - latches the command block of the host as commands of one slow tick. */
+/* latch.h - takes the command block of the host over as commands of one slow tick.
+ *
+ * Here "latch" means: everything written since the previous slow tick is taken over together, before the next one. The
+ * fault latch and the over-current latch are other things (diagnosis/fault_latch.h, hal/hal.h). */
 #ifndef SERVO_APP_LATCH_H
 #define SERVO_APP_LATCH_H
 
@@ -17,7 +20,7 @@ typedef struct {
 typedef struct {
     uint16_t host_timeout; /* slow ticks */
     uint16_t monitor[HAL_ANALOG_OUTS]; /* monitor_t */
-    bool brake_fitted; /* brake resistor fitted */
+    bool brake_resistor_fitted; /* a brake resistor is fitted and used */
 } board_settings_t;
 
 void latch_reset(latch_marks_t *marks);

@@ -9,10 +9,10 @@ typedef struct {
     uint32_t end;
     const uint8_t *data;
     const uint8_t *mask; /* NULL: all bits are written */
-} write_t;
+} host_write_t;
 
 /* Value of the `size` bytes at `offset` after the write, as an unsigned little-endian number. */
-static uint32_t value_after(const ranges_memory_t *in, const write_t *write, uint16_t offset, uint16_t size)
+static uint32_t value_after(const ranges_memory_t *in, const host_write_t *write, uint16_t offset, uint16_t size)
 {
     const uint8_t *memory = in->memory + offset;
     uint32_t value = 0;
@@ -59,7 +59,7 @@ static bool in_reach(const ranges_memory_t *in, uint16_t axis, uint32_t value)
     return value - (uint32_t)in->snapshot->axis[axis].position + reach <= 2U * reach;
 }
 
-static bool elements_accept(const ranges_memory_t *in, const variable_range_t *range, const write_t *write)
+static bool elements_accept(const ranges_memory_t *in, const variable_range_t *range, const host_write_t *write)
 {
     for (uint16_t i = 0; i < range->count; i++) {
         const uint16_t offset = (uint16_t)(range->offset + i * range->size);
@@ -79,7 +79,7 @@ static bool elements_accept(const ranges_memory_t *in, const variable_range_t *r
 
 bool ranges_accept(const ranges_memory_t *in, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
 {
-    const write_t write = {offset, (uint32_t)offset + size, data, mask};
+    const host_write_t write = {offset, (uint32_t)offset + size, data, mask};
     for (uint16_t i = 0; i < servo_ranges_count; i++) {
         if (!elements_accept(in, &servo_ranges[i], &write)) {
             return false;

@@ -43,7 +43,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo_restore(servo);
     config_blocks_begin(&servo->config_blocks, &servo->config_status);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        const axis_config_t *config = config_blocks_block(&servo->config_blocks, i);
+        const axis_config_t *config = config_blocks_in_force(&servo->config_blocks, i);
         axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
         servo->nominal.torque_constant[i] = config->torque_constant;
         servo->nominal.acceleration_current[i] = config->acceleration_forward;
@@ -66,7 +66,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->marks.parameters = true;
     servo->host_commands = 0;
     servo->host_commands_seen = 0;
-    servo->host_silence = 0;
+    servo->host_idle_ticks = 0;
     servo->host_seen = false;
 
     if (by_watchdog) {
@@ -113,20 +113,20 @@ static void latch_commands(servo_t *servo)
     }
 }
 
-/* Host supervision: both axes stop when a host that has sent commands falls silent. Reads do not count: a client that
- * only monitors must not keep alive a motion that another client started. Before the first command there is no
- * supervision. */
+/* Both axes stop with the fault HOST_SILENT if no command and no keep-alive arrives within param.host_timeout.
+ * Reads do not restart the timeout, because a client that only monitors does not supervise a motion that another
+ * client started. Supervision begins with the first command. */
 static void supervise_host(servo_t *servo)
 {
     const uint16_t commands = servo->host_commands;
     if (commands != servo->host_commands_seen) {
         servo->host_commands_seen = commands;
-        servo->host_silence = 0;
+        servo->host_idle_ticks = 0;
         servo->host_seen = true;
-    } else if (servo->host_silence < UINT16_MAX) {
-        servo->host_silence++;
+    } else if (servo->host_idle_ticks < UINT16_MAX) {
+        servo->host_idle_ticks++;
     }
-    if (servo->host_seen && servo->host_silence >= servo->settings.host_timeout) {
+    if (servo->host_seen && servo->host_idle_ticks >= servo->settings.host_timeout) {
         for (uint16_t i = 0; i < HAL_AXES; i++) {
             axis_stop_with(&servo->axis[i], FOUND(FINDING_HOST_SILENT));
         }
@@ -136,19 +136,21 @@ static void supervise_host(servo_t *servo)
 /* The DC bus that both axes share: braking resistor, and limits of the regenerated power. */
 static void supervise_bus(servo_t *servo)
 {
-    bus_braking_t *brake = &servo->bus_braking;
-    const bool was_on = brake->on;
-    bus_braking_step(brake, &servo->bus_braking_config, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
-    if (brake->on != was_on) {
-        hal_brake(servo->hal, brake->on);
+    bus_braking_t *braking = &servo->bus_braking;
+    const bool was_on = braking->on;
+    bus_braking_step(braking, &servo->bus_braking_config, servo->settings.brake_resistor_fitted,
+                     servo->axis[MOTOR_1].u_dc);
+    if (braking->on != was_on) {
+        hal_brake_resistor(servo->hal, braking->on);
     }
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         axis_t *axis = &servo->axis[i];
         axis->diagnosis.bus.u_dc_max =
-            brake->available ? servo->bus_braking_config.u_dc_max_braking : axis->config->u_dc_max;
-        axis->regen_derating = brake->regen_derating;
-        axis->bus_limits = (uint16_t)(axis->home.refused_limit | ((brake->on || brake->exhausted) ? LIMIT_BRAKE : 0U) |
-                                      (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));
+            braking->available ? servo->bus_braking_config.u_dc_max_braking : axis->config->u_dc_max;
+        axis->regen_derating = braking->regen_derating;
+        axis->bus_limits =
+            (uint16_t)(axis->home.refused_limit | ((braking->on || braking->exhausted) ? LIMIT_BRAKE : 0U) |
+                       (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));
     }
 }
 

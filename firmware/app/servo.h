@@ -63,7 +63,7 @@ typedef struct servo {
     uint16_t point_refusal; /* point_refusal_t of the last refused write */
     volatile uint16_t host_commands; /* commands and keep-alives received; written by the background loop only */
     uint16_t host_commands_seen; /* `host_commands` at the last supervision */
-    uint16_t host_silence; /* slow ticks without a command or keep-alive */
+    uint16_t host_idle_ticks; /* slow ticks without a command or keep-alive */
     bool host_seen; /* a command was received since reset */
     event_log_t event_log;
     freemaster_t freemaster;
@@ -77,7 +77,7 @@ void servo_init(servo_t *servo, hal_t *hal);
 void servo_restore(servo_t *servo);
 void servo_host_init(servo_t *servo);
 
-/* Interrupts: t1 and t3 of DRM F34, latched encoder edge, hardware over-current latch. */
+/* Interrupts: t1 and t3 of DRM F34, captured encoder edge, hardware over-current latch. */
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);
 void servo_edge_isr(servo_t *servo, uint16_t axis);
@@ -87,8 +87,8 @@ void servo_over_current_isr(servo_t *servo, uint16_t axis);
 void servo_background(servo_t *servo);
 
 /* Access for hosts without a serial line, as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Does
- * not reset the time-out of HOST_SILENT, which supervises the serial line. */
-uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
-uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
+ * not restart the timeout of HOST_SILENT, which supervises the serial line. */
+fm_status_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
+fm_status_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
 
 #endif

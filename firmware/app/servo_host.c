@@ -195,15 +195,15 @@ void servo_background(servo_t *servo)
     servo_storage_step(servo);
 }
 
-uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)
+fm_status_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)
 {
     return freemaster_read(&servo->freemaster, address, data, size);
 }
 
-uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size)
+fm_status_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size)
 {
     const uint16_t commands = servo->host_commands;
-    const uint8_t status = freemaster_write(&servo->freemaster, address, data, NULL, size);
+    const fm_status_t status = freemaster_write(&servo->freemaster, address, data, NULL, size);
     servo->host_commands = commands;
     return status;
 }

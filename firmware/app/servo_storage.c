@@ -29,7 +29,7 @@ static void default_parameters(servo_t *servo)
     parameter->command_timeout = servo_config.command_timeout;
     parameter->brake = servo_config.bus_braking.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        const axis_config_t *config = config_blocks_block(&servo->config_blocks, i);
+        const axis_config_t *config = config_blocks_in_force(&servo->config_blocks, i);
         parameter->speed_limit[i] = config->speed_limit;
         parameter->acceleration_limit[i] = config->acceleration_limit;
         parameter->i_q_limit[i] = config->i_q_limit;

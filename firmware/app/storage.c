@@ -4,16 +4,16 @@
 #include "math/crc32.h"
 
 #define NO_COPY STORAGE_COPIES
-#define ERASED UINT32_C(0xFFFFFFFF)
 
 /* ---- selection of the copy ------------------------------------------------------------------------------------------ */
 
 static bool is_newer(uint32_t sequence, uint32_t other) { return (int32_t)(sequence - other) > 0; }
 
-/* Rank of a copy: 2 intact; 1 complete, but of another layout or out of range; 0 unusable. */
-static uint16_t copy_rank(uint16_t copy)
+/* Rank of a copy in this state (stored_copy_t): 2 intact; 1 complete, but of another layout or out of range; 0
+ * unusable. */
+static uint16_t copy_rank(uint16_t state)
 {
-    switch ((stored_copy_t)copy) {
+    switch ((stored_copy_t)state) {
     case STORED_COPY_INTACT:
         return 2;
     case STORED_COPY_OTHER_LAYOUT:
@@ -175,7 +175,7 @@ static bool is_done(const storage_t *storage, const storage_board_t *board)
     }
     const uint16_t first = (uint16_t)(sector_of(storage) * HAL_FLASH_SECTOR_WORDS);
     for (uint16_t i = 0; i < HAL_FLASH_SECTOR_WORDS; i++) {
-        if (hal_flash_read(board->hal, (uint16_t)(first + i)) != ERASED) {
+        if (hal_flash_read(board->hal, (uint16_t)(first + i)) != HAL_FLASH_ERASED) {
             return false;
         }
     }

@@ -6,21 +6,21 @@
 #include "config/axis_members.h"
 #include "math/crc32.h"
 
-#define ERASED UINT32_C(0xFFFFFFFF)
-
 typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
 
-enum { FORMAT, LENGTH, SEQUENCE, PARAMETERS, MEMBERS };
+/* Words of the head of a set. */
+enum { WORD_FORMAT, WORD_LENGTH, WORD_SEQUENCE, WORD_PARAMETER_LAYOUT, WORD_AXIS_LAYOUT };
 
 /* ---- values by index ------------------------------------------------------------------------------------------------ */
 
 typedef struct {
     variable_range_t range;
     uint16_t offset; /* offset of the element */
-} element_t;
+} parameter_element_t;
 
-/* Element `number`, counted through the elements of all parameters. */
-static element_t element_of(const stored_values_t *values, uint16_t number)
+/* Element `number`, counted through the elements of all parameters. `number` must be below PARAMETER_VALUES: the search
+ * ends at the element, not at the end of servo_ranges. */
+static parameter_element_t element_of(const stored_values_t *values, uint16_t number)
 {
     uint16_t i = 0;
     for (;; i++) {
@@ -29,7 +29,7 @@ static element_t element_of(const stored_values_t *values, uint16_t number)
             continue;
         }
         if (number < range->count) {
-            return (element_t){*range, (uint16_t)(range->offset + number * range->size)};
+            return (parameter_element_t){*range, (uint16_t)(range->offset + number * range->size)};
         }
         number = (uint16_t)(number - range->count);
     }
@@ -47,19 +47,21 @@ static uint16_t member_of(uint16_t index)
 static uint32_t value_of(const stored_values_t *values, uint16_t index)
 {
     if (!is_parameter(index)) {
-        return (uint32_t)axis_member_get(config_blocks_block(values->config_blocks, axis_of(index)), member_of(index));
+        return (uint32_t)axis_member_get(config_blocks_in_force(values->config_blocks, axis_of(index)),
+                                         member_of(index));
     }
-    const element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
+    const parameter_element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
     return ranges_get(&element.range, values->memory + element.offset);
 }
 
 static void set_value(const stored_values_t *values, uint16_t index, uint32_t value)
 {
     if (!is_parameter(index)) {
-        axis_member_set(config_blocks_restore(values->config_blocks, axis_of(index)), member_of(index), (int32_t)value);
+        axis_member_set(config_blocks_writable(values->config_blocks, axis_of(index)), member_of(index),
+                        (int32_t)value);
         return;
     }
-    const element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
+    const parameter_element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
     ranges_set(&element.range, values->memory + element.offset, value);
 }
 
@@ -69,22 +71,22 @@ static bool accepts(const stored_values_t *values, uint16_t index, uint32_t valu
     if (!is_parameter(index)) {
         return axis_member_accepts(member_of(index), (int32_t)value);
     }
-    const element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
+    const parameter_element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
     return ranges_accept_value(&element.range, value);
 }
 
 uint32_t stored_word(const stored_values_t *values, uint32_t sequence, uint16_t index)
 {
     switch (index) {
-    case FORMAT:
+    case WORD_FORMAT:
         return STORED_FORMAT;
-    case LENGTH:
+    case WORD_LENGTH:
         return STORED_WORDS;
-    case SEQUENCE:
+    case WORD_SEQUENCE:
         return sequence;
-    case PARAMETERS:
+    case WORD_PARAMETER_LAYOUT:
         return PARAMETER_LAYOUT;
-    case MEMBERS:
+    case WORD_AXIS_LAYOUT:
         return AXIS_LAYOUT;
     default:
         return value_of(values, index);
@@ -101,7 +103,7 @@ static uint32_t read_word(hal_t *hal, uint16_t copy, uint16_t index)
 static bool is_erased(hal_t *hal, uint16_t copy)
 {
     uint16_t i = 0;
-    while (i < STORED_ROOM && read_word(hal, copy, i) == ERASED) {
+    while (i < STORED_ROOM && read_word(hal, copy, i) == HAL_FLASH_ERASED) {
         i++;
     }
     return i == STORED_ROOM;
@@ -110,8 +112,8 @@ static bool is_erased(hal_t *hal, uint16_t copy)
 /* True if the checksum of the copy is valid, for any layout. */
 static bool is_sealed(hal_t *hal, uint16_t copy)
 {
-    const uint32_t length = read_word(hal, copy, LENGTH);
-    if (read_word(hal, copy, FORMAT) != STORED_FORMAT || length <= STORED_HEAD || length > STORED_ROOM) {
+    const uint32_t length = read_word(hal, copy, WORD_LENGTH);
+    if (read_word(hal, copy, WORD_FORMAT) != STORED_FORMAT || length <= STORED_HEAD || length > STORED_ROOM) {
         return false;
     }
     uint32_t crc = CRC32_START;
@@ -127,9 +129,10 @@ stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *val
     if (!is_sealed(hal, copy)) {
         return is_erased(hal, copy) ? STORED_COPY_EMPTY : STORED_COPY_DAMAGED;
     }
-    *sequence = read_word(hal, copy, SEQUENCE);
-    if (read_word(hal, copy, LENGTH) != STORED_WORDS || read_word(hal, copy, PARAMETERS) != PARAMETER_LAYOUT ||
-        read_word(hal, copy, MEMBERS) != AXIS_LAYOUT) {
+    *sequence = read_word(hal, copy, WORD_SEQUENCE);
+    if (read_word(hal, copy, WORD_LENGTH) != STORED_WORDS ||
+        read_word(hal, copy, WORD_PARAMETER_LAYOUT) != PARAMETER_LAYOUT ||
+        read_word(hal, copy, WORD_AXIS_LAYOUT) != AXIS_LAYOUT) {
         return STORED_COPY_OTHER_LAYOUT;
     }
     for (uint16_t i = STORED_HEAD; i < STORED_CHECKSUM; i++) {

@@ -59,7 +59,7 @@ static void renew_salt(access_t *access, uint32_t nonce)
     memcpy(access->salt, digest, ACCESS_SALT_SIZE);
 }
 
-uint8_t access_challenge(access_t *access, uint32_t nonce, payload_reader_t *request, payload_writer_t *reply)
+fm_status_t access_challenge(access_t *access, uint32_t nonce, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint8_t level = payload_get_u8(request);
     if (access_guarded(&access->passwords) == ACCESS_NONE) {
@@ -110,7 +110,7 @@ static uint8_t proved(const access_t *access, const uint8_t *key)
     return ACCESS_NONE;
 }
 
-uint8_t access_prove(access_t *access, payload_reader_t *request, payload_writer_t *reply)
+fm_status_t access_prove(access_t *access, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint8_t level = payload_get_u8(request);
     const uint8_t *key = payload_take(request, SHA1_SIZE);

@@ -12,6 +12,7 @@
 #include <stdint.h>
 
 #include "comm/payload.h"
+#include "comm/status.h"
 
 #define ACCESS_NONE UINT8_C(0)
 #define ACCESS_VIEW UINT8_C(1)    /* read memory */
@@ -38,9 +39,9 @@ void access_init(access_t *access, const access_passwords_t *passwords);
 uint8_t access_guarded(const access_passwords_t *passwords);
 
 /* AUTH1: u8 level. `nonce` must be different for each call. */
-uint8_t access_challenge(access_t *access, uint32_t nonce, payload_reader_t *request, payload_writer_t *reply);
+fm_status_t access_challenge(access_t *access, uint32_t nonce, payload_reader_t *request, payload_writer_t *reply);
 
 /* AUTH2: u8 level, key. */
-uint8_t access_prove(access_t *access, payload_reader_t *request, payload_writer_t *reply);
+fm_status_t access_prove(access_t *access, payload_reader_t *request, payload_writer_t *reply);
 
 #endif

@@ -15,7 +15,7 @@ void app_command_init(app_command_t *command)
     command->result_size = 0;
 }
 
-uint8_t app_command_send(app_command_t *command, payload_reader_t *request)
+fm_status_t app_command_send(app_command_t *command, payload_reader_t *request)
 {
     if (command->status == APP_COMMAND_PENDING) {
         return FM_BUSY;
@@ -68,7 +68,7 @@ void app_command_finish(app_command_t *command, uint8_t code, const uint8_t *res
     }
 }
 
-uint8_t app_command_data(const app_command_t *command, payload_reader_t *request, payload_writer_t *reply)
+fm_status_t app_command_data(const app_command_t *command, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t size = payload_get_unsigned(request);
     const uint32_t offset = payload_get_unsigned(request);

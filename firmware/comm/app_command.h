@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #include "comm/payload.h"
+#include "comm/status.h"
 
 #define APP_COMMAND_ARGUMENTS_MAX 32
 #define APP_COMMAND_RESULT_MAX 32
@@ -37,7 +38,7 @@ typedef struct {
 void app_command_init(app_command_t *command);
 
 /* SENDAPPCMD: u8 code, arguments. */
-uint8_t app_command_send(app_command_t *command, payload_reader_t *request);
+fm_status_t app_command_send(app_command_t *command, payload_reader_t *request);
 
 /* GETAPPCMDSTS: execute a stored command; returns the status byte of the answer. */
 uint8_t app_command_poll(app_command_t *command, app_command_run_t run, void *context);
@@ -47,6 +48,6 @@ uint8_t app_command_poll(app_command_t *command, app_command_run_t run, void *co
 void app_command_finish(app_command_t *command, uint8_t code, const uint8_t *result, uint16_t size);
 
 /* GETAPPCMDDATA: SIZE n, SIZE offset. */
-uint8_t app_command_data(const app_command_t *command, payload_reader_t *request, payload_writer_t *reply);
+fm_status_t app_command_data(const app_command_t *command, payload_reader_t *request, payload_writer_t *reply);
 
 #endif

@@ -1,4 +1,8 @@
-/* cell.h - access to memory of any type in cells of 2 or 4 bytes; each access is atomic with respect to interrupts. */
+/* cell.h - access to memory of any type in cells of 4, 2 or 1 bytes.
+ *
+ * A cell is read and written by one instruction where the processor has one, so that no interrupt divides the access.
+ * The AVR, a target of tests without interrupts, has none for 4 and 2 bytes.
+ */
 #ifndef COMM_CELL_H
 #define COMM_CELL_H
 

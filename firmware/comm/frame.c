@@ -84,7 +84,7 @@ void frame_transmitter_init(frame_transmitter_t *transmitter)
 
 uint8_t *frame_data(frame_transmitter_t *transmitter) { return transmitter->bytes + DATA_AT; }
 
-void frame_send(frame_transmitter_t *transmitter, uint8_t status, uint16_t size)
+void frame_send(frame_transmitter_t *transmitter, fm_status_t status, uint16_t size)
 {
     uint8_t *bytes = transmitter->bytes;
     const uint16_t data = fm_is_error(status) ? (uint16_t)0 : size;

@@ -10,6 +10,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "comm/status.h"
+
 /* Buffer size reported to the client; CMD and LEN of a request use two bytes of it. */
 #ifndef FRAME_MTU
 #define FRAME_MTU 254
@@ -58,7 +60,7 @@ void frame_transmitter_init(frame_transmitter_t *transmitter);
 uint8_t *frame_data(frame_transmitter_t *transmitter);
 
 /* Start sending an answer with the first `size` bytes of frame_data (no data with an error). */
-void frame_send(frame_transmitter_t *transmitter, uint8_t status, uint16_t size);
+void frame_send(frame_transmitter_t *transmitter, fm_status_t status, uint16_t size);
 
 /* True until the last byte of the answer was sent. */
 bool frame_is_sending(const frame_transmitter_t *transmitter);

@@ -34,7 +34,7 @@ static void copy_out(freemaster_t *server, const tsa_place_t *place, uint8_t *da
 
 /* Write and report the smallest range that contains all written bytes: with a mask that selects one element of an
  * array, the other elements must not count as written. */
-static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uint8_t *data, const uint8_t *mask)
+static fm_status_t copy_in(freemaster_t *server, const tsa_place_t *place, const uint8_t *data, const uint8_t *mask)
 {
     uint8_t *memory = server->space.memory + (size_t)place->offset;
     uint16_t first = 0;
@@ -66,7 +66,7 @@ static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uin
     return accepted ? FM_OK : FM_OUT_OF_RANGE;
 }
 
-uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
+fm_status_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
 {
     tsa_place_t place;
     const uint8_t *samples = recorder_samples(&server->samples, address, size);
@@ -81,8 +81,8 @@ uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, u
     return FM_OK;
 }
 
-uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
-                         uint16_t size)
+fm_status_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
+                             uint16_t size)
 {
     tsa_place_t place;
     if (!tsa_writable(&server->space, address, size, &place)) {
@@ -107,13 +107,13 @@ void freemaster_print(freemaster_t *server, const uint8_t *text, uint16_t size)
 
 /* ---- commands -------------------------------------------------------------------------------------------------- */
 
-static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t get_configuration(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     return getconfig_answer(&server->app, request, reply);
 }
 
 /* Checks in the order of the vendor's server: access first, then the size. */
-static uint8_t read_range(freemaster_t *server, uint32_t address, uint32_t size, payload_writer_t *reply)
+static fm_status_t read_range(freemaster_t *server, uint32_t address, uint32_t size, payload_writer_t *reply)
 {
     tsa_place_t place;
     const uint8_t *samples = recorder_samples(&server->samples, address, size);
@@ -135,14 +135,14 @@ static uint8_t read_range(freemaster_t *server, uint32_t address, uint32_t size,
     return FM_OK;
 }
 
-static uint8_t read_memory(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t read_memory(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t address = payload_get_unsigned(request);
     const uint32_t size = payload_get_unsigned(request);
     return request->missing ? FM_BAD_SIZE : read_range(server, address, size, reply);
 }
 
-static uint8_t read_memory_from_base(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t read_memory_from_base(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const int32_t offset = payload_get_signed(request);
     const uint32_t size = payload_get_unsigned(request);
@@ -151,7 +151,7 @@ static uint8_t read_memory_from_base(freemaster_t *server, payload_reader_t *req
 
 /* Stricter than the vendor's server: data and mask must have been received, otherwise bytes of older messages would be
  * written. */
-static uint8_t write_memory(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t write_memory(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     (void)reply;
     const uint8_t flags = payload_get_u8(request);
@@ -179,7 +179,7 @@ static uint8_t write_memory(freemaster_t *server, payload_reader_t *request, pay
     return copy_in(server, &place, data, mask);
 }
 
-static uint8_t check_scope(payload_reader_t *request)
+static fm_status_t check_scope(payload_reader_t *request)
 {
     const uint8_t index = payload_get_u8(request);
     if (request->missing) {
@@ -188,16 +188,16 @@ static uint8_t check_scope(payload_reader_t *request)
     return index == SCOPE_INDEX ? FM_OK : FM_BAD_INSTANCE;
 }
 
-static uint8_t set_scope(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t set_scope(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     (void)reply;
-    const uint8_t status = check_scope(request);
+    const fm_status_t status = check_scope(request);
     return fm_is_error(status) ? status : scope_configure(&server->scope, &server->space, request);
 }
 
-static uint8_t read_scope(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t read_scope(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
-    uint8_t status = check_scope(request);
+    fm_status_t status = check_scope(request);
     if (!fm_is_error(status)) {
         server->app.lock(server->app.context, true); /* one section: all slots are of one moment */
         status = scope_read(&server->scope, &server->space, reply);
@@ -213,7 +213,7 @@ static recorder_t *find_recorder(freemaster_t *server, payload_reader_t *request
     return !request->missing && index < FREEMASTER_RECORDERS ? &server->recorder[index] : NULL;
 }
 
-static uint8_t set_recorder(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t set_recorder(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     (void)reply;
     recorder_t *recorder = find_recorder(server, request);
@@ -223,7 +223,7 @@ static uint8_t set_recorder(freemaster_t *server, payload_reader_t *request, pay
     return recorder_configure(recorder, &server->space, request);
 }
 
-static uint8_t get_recorder(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t get_recorder(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     recorder_t *recorder = find_recorder(server, request);
     const uint8_t operation = recorder != NULL ? payload_get_u8(request) : (uint8_t)0;
@@ -234,7 +234,7 @@ static uint8_t get_recorder(freemaster_t *server, payload_reader_t *request, pay
 }
 
 /* There is one table; an address of 0 at the next index ends the client's enumeration. */
-static uint8_t get_tsa_info(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t get_tsa_info(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t index = payload_get_unsigned(request);
     if (request->missing) {
@@ -247,7 +247,7 @@ static uint8_t get_tsa_info(freemaster_t *server, payload_reader_t *request, pay
 }
 
 /* Stricter than the vendor's server, which counts from any address up to the next 00. */
-static uint8_t get_string_length(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t get_string_length(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t address = payload_get_unsigned(request);
     uint16_t length = 0;
@@ -261,41 +261,41 @@ static uint8_t get_string_length(freemaster_t *server, payload_reader_t *request
     return FM_OK_VARIABLE;
 }
 
-static uint8_t exchange_pipe(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t exchange_pipe(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     return pipe_exchange(&server->pipe, request, reply);
 }
 
-static uint8_t get_pipe(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t get_pipe(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     return pipe_query(&server->pipe, request, reply);
 }
 
-static uint8_t challenge_client(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t challenge_client(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t nonce = server->app.nonce(server->app.context);
     return access_challenge(&server->access, nonce, request, reply);
 }
 
-static uint8_t check_password(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t check_password(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     return access_prove(&server->access, request, reply);
 }
 
-static uint8_t send_app_command(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t send_app_command(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     (void)reply;
     return app_command_send(&server->app_command, request);
 }
 
-static uint8_t get_app_command_status(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t get_app_command_status(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     (void)request;
     payload_put_u8(reply, app_command_poll(&server->app_command, server->app.command, server->app.context));
     return FM_OK;
 }
 
-static uint8_t get_app_command_data(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+static fm_status_t get_app_command_data(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     return app_command_data(&server->app_command, request, reply);
 }
@@ -305,7 +305,7 @@ static uint8_t get_app_command_data(freemaster_t *server, payload_reader_t *requ
 /* A handler reads its request, writes the data of its answer and returns the status. */
 typedef struct {
     uint8_t code;
-    uint8_t (*run)(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply);
+    fm_status_t (*run)(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply);
 } command_t;
 
 static const command_t commands[] = {
@@ -329,13 +329,13 @@ static const command_t commands[] = {
 };
 #define COMMANDS (sizeof commands / sizeof commands[0])
 
-static uint8_t run_command(freemaster_t *server, payload_writer_t *reply)
+static fm_status_t run_command(freemaster_t *server, payload_writer_t *reply)
 {
     const frame_receiver_t *frame = &server->receiver;
     payload_reader_t request = {frame->payload, frame->size, false};
     for (size_t i = 0; i < COMMANDS; i++) {
         if (commands[i].code == frame->command) {
-            const uint8_t status = commands[i].run(server, &request, reply);
+            const fm_status_t status = commands[i].run(server, &request, reply);
             return reply->full && !fm_is_error(status) ? FM_ANSWER_TOO_LONG : status;
         }
     }
@@ -345,7 +345,7 @@ static uint8_t run_command(freemaster_t *server, payload_writer_t *reply)
 static void execute(freemaster_t *server)
 {
     payload_writer_t reply = {frame_data(&server->transmitter), FRAME_DATA_MAX, 0, false};
-    const uint8_t status = run_command(server, &reply);
+    const fm_status_t status = run_command(server, &reply);
     server->statistics.requests++;
     if (fm_is_error(status)) {
         server->statistics.refused++;

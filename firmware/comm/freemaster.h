@@ -15,6 +15,7 @@
 #include "comm/freemaster_app.h"
 #include "comm/pipe.h"
 #include "comm/scope.h"
+#include "comm/status.h"
 #include "comm/tsa.h"
 #include "hal/hal.h"
 
@@ -64,8 +65,8 @@ uint16_t freemaster_console_room(const freemaster_t *server);
 void freemaster_print(freemaster_t *server, const uint8_t *text, uint16_t size);
 
 /* READMEM and WRITEMEM without frame, size limit and password; 0 or a status code. `mask` may be NULL. */
-uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size);
-uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
-                         uint16_t size);
+fm_status_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size);
+fm_status_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
+                             uint16_t size);
 
 #endif

@@ -49,7 +49,7 @@ static int32_t find_key(payload_reader_t *request)
     return 0;
 }
 
-uint8_t getconfig_answer(const freemaster_app_t *app, payload_reader_t *request, payload_writer_t *reply)
+fm_status_t getconfig_answer(const freemaster_app_t *app, payload_reader_t *request, payload_writer_t *reply)
 {
     int32_t index = payload_get_signed(request);
     if (index == 0 && !request->missing) {

@@ -6,7 +6,8 @@
 
 #include "comm/freemaster_app.h"
 #include "comm/payload.h"
+#include "comm/status.h"
 
-uint8_t getconfig_answer(const freemaster_app_t *app, payload_reader_t *request, payload_writer_t *reply);
+fm_status_t getconfig_answer(const freemaster_app_t *app, payload_reader_t *request, payload_writer_t *reply);
 
 #endif

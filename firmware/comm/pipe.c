@@ -37,7 +37,7 @@ static void drop(pipe_t *pipe, uint8_t size)
     memmove(pipe->queue, pipe->queue + gone, pipe->size);
 }
 
-uint8_t pipe_exchange(pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply)
+fm_status_t pipe_exchange(pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint8_t port = payload_get_u8(request);
     const uint8_t received = payload_get_u8(request);
@@ -55,7 +55,7 @@ uint8_t pipe_exchange(pipe_t *pipe, payload_reader_t *request, payload_writer_t 
     return FM_OK_VARIABLE;
 }
 
-uint8_t pipe_query(const pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply)
+fm_status_t pipe_query(const pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint8_t flags = payload_get_u8(request);
     const uint8_t number = payload_get_u8(request);

@@ -10,6 +10,7 @@
 #include <stdint.h>
 
 #include "comm/payload.h"
+#include "comm/status.h"
 
 #define PIPE_PORT UINT8_C(1)
 #define PIPE_QUEUE 96 /* bytes */
@@ -31,9 +32,9 @@ static inline uint16_t pipe_room(const pipe_t *pipe) { return (uint16_t)(PIPE_QU
 void pipe_write(pipe_t *pipe, const uint8_t *text, uint16_t size);
 
 /* PIPE: u8 port with the toggle bit, u8 bytes received, data. */
-uint8_t pipe_exchange(pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply);
+fm_status_t pipe_exchange(pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply);
 
 /* GETPIPE: u8 flags, u8 index or port, u8 operation. */
-uint8_t pipe_query(const pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply);
+fm_status_t pipe_query(const pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply);
 
 #endif

@@ -48,7 +48,7 @@ static void discard(recorder_t *recorder)
 }
 
 /* 01: u8 slots, SIZE points, SIZE points before the trigger, SIZE divider. Allowed while recording. */
-static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
+static fm_status_t reserve(recorder_t *recorder, payload_reader_t *operand)
 {
     const uint8_t slots = payload_get_u8(operand);
     const uint32_t total = payload_get_unsigned(operand);
@@ -73,10 +73,8 @@ static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
     return FM_OK;
 }
 
-static bool is_variable_size(uint8_t size) { return size == 1 || size == 2 || size == 4 || size == 8; }
-
 /* Read the threshold that follows in the request; its type is given by `slot`. */
-static uint8_t get_threshold(recorder_slot_t *slot, const tsa_space_t *space, payload_reader_t *operand)
+static fm_status_t get_threshold(recorder_slot_t *slot, const tsa_space_t *space, payload_reader_t *operand)
 {
     const bool is_signed = (slot->mode & RECORDER_MODE_TYPE) == RECORDER_TYPE_SIGNED;
     slot->bias = is_signed ? SIGN >> (slot->size < 4 ? 32u - 8u * slot->size : 0u) : 0;
@@ -101,8 +99,8 @@ static uint8_t get_threshold(recorder_slot_t *slot, const tsa_space_t *space, pa
     return FM_OK;
 }
 
-/* 02: u8 slot, ADDR, u8 size, u8 trigger, threshold. Checked in this order. */
-static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operand)
+/* 02: u8 slot, ADDR, u8 size, u8 trigger, threshold. Checked: slot, state, length and size, access, type, threshold. */
+static fm_status_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operand)
 {
     const uint8_t index = payload_get_u8(operand);
     if (!operand->missing && index >= recorder->slots) {
@@ -115,7 +113,7 @@ static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_
     const uint32_t address = payload_get_unsigned(operand);
     slot.size = payload_get_u8(operand);
     slot.mode = payload_get_u8(operand);
-    if (operand->missing || !is_variable_size(slot.size)) {
+    if (operand->missing || !tsa_is_variable_size(slot.size)) {
         return FM_BAD_SIZE;
     }
     slot.source = tsa_live(space, address, slot.size, &slot.cell);
@@ -125,7 +123,7 @@ static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_
     if ((slot.mode & RECORDER_MODE_TYPE) == RECORDER_TYPE_FLOAT) {
         return slot.size < 4 ? FM_BAD_SIZE : FM_NO_FLOAT;
     }
-    const uint8_t status = get_threshold(&slot, space, operand);
+    const fm_status_t status = get_threshold(&slot, space, operand);
     if (fm_is_error(status)) {
         return status;
     }
@@ -159,8 +157,8 @@ static void make_moves(recorder_t *recorder, uint8_t cell)
     sampling->trigger_end = recorder->memory->sampling.trigger + triggers;
 }
 
-/* All slots are set and at least one is stored: the configuration is complete. */
-static bool finish(recorder_t *recorder)
+/* Complete the configuration if all slots are set and at least one is stored. False: it is not complete. */
+static bool complete_configuration(recorder_t *recorder)
 {
     if (recorder->configured) {
         return true;
@@ -207,9 +205,9 @@ static bool finish(recorder_t *recorder)
     return true;
 }
 
-static uint8_t start(recorder_t *recorder)
+static fm_status_t start(recorder_t *recorder)
 {
-    if (!finish(recorder)) {
+    if (!complete_configuration(recorder)) {
         return FM_BAD_SIZE;
     }
     if (!recorder->running) {
@@ -225,7 +223,7 @@ static uint8_t start(recorder_t *recorder)
     return FM_OK;
 }
 
-static uint8_t stop(recorder_t *recorder)
+static fm_status_t stop(recorder_t *recorder)
 {
     if (!recorder->configured) {
         return FM_NOT_CONFIGURED;
@@ -234,7 +232,8 @@ static uint8_t stop(recorder_t *recorder)
     return FM_OK;
 }
 
-static uint8_t run_operation(recorder_t *recorder, const tsa_space_t *space, uint8_t code, payload_reader_t *operand)
+static fm_status_t run_operation(recorder_t *recorder, const tsa_space_t *space, uint8_t code,
+                                 payload_reader_t *operand)
 {
     switch (code) {
     case OPERATION_MEMORY:
@@ -250,9 +249,9 @@ static uint8_t run_operation(recorder_t *recorder, const tsa_space_t *space, uin
     }
 }
 
-uint8_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operations)
+fm_status_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operations)
 {
-    uint8_t status = FM_OK;
+    fm_status_t status = FM_OK;
     payload_operation_t operation;
     while (!fm_is_error(status) && payload_next_operation(operations, &operation)) {
         status = run_operation(recorder, space, operation.code, &operation.operand);
@@ -262,9 +261,10 @@ uint8_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, paylo
 
 /* ---- answers ---------------------------------------------------------------------------------------------------- */
 
-static recorder_state_t state_of(recorder_t *recorder)
+/* State; completes the configuration first, if it can be. */
+static recorder_state_t update_state(recorder_t *recorder)
 {
-    if (!finish(recorder)) {
+    if (!complete_configuration(recorder)) {
         return RECORDER_NOT_CONFIGURED;
     }
     if (recorder->running) {
@@ -276,9 +276,10 @@ static recorder_state_t state_of(recorder_t *recorder)
     return recorder->memory->sampling.filled ? RECORDER_FULL : RECORDER_STOPPED;
 }
 
+/* u8 state, u8 stored variables, ADDR samples, SIZE bytes of a point, SIZE points, SIZE index of the oldest point. */
 static void put_info(recorder_t *recorder, payload_writer_t *reply)
 {
-    const recorder_state_t state = state_of(recorder);
+    const recorder_state_t state = update_state(recorder);
     payload_put_u8(reply, (uint8_t)state);
     if (state == RECORDER_NOT_CONFIGURED) {
         const uint8_t nothing[5] = {0};
@@ -296,7 +297,7 @@ static void put_info(recorder_t *recorder, payload_writer_t *reply)
     payload_put_unsigned(reply, all ? next : 0);
 }
 
-uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t *reply)
+fm_status_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t *reply)
 {
     switch (operation) {
     case QUERY_DESCRIPTION:
@@ -305,14 +306,14 @@ uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t
     case QUERY_LIMITS:
         payload_put_unsigned(reply, recorder->memory->size);
         payload_put_unsigned(reply, recorder->app.timebase);
-        payload_put_unsigned(reply, 0); /* addresses of the recorder and of a variable: neither is in this memory */
+        payload_put_unsigned(reply, 0); /* bytes of sample memory used per recorder and per slot: none */
         payload_put_unsigned(reply, 0);
         break;
     case QUERY_INFO:
         put_info(recorder, reply);
         break;
     case QUERY_STATUS:
-        payload_put_u8(reply, (uint8_t)state_of(recorder));
+        payload_put_u8(reply, (uint8_t)update_state(recorder));
         break;
     default:
         return FM_BAD_OPERATION;

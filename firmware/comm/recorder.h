@@ -20,6 +20,7 @@
 #include <stdint.h>
 
 #include "comm/payload.h"
+#include "comm/status.h"
 #include "comm/tsa.h"
 
 #define RECORDER_SLOTS 8
@@ -99,10 +100,10 @@ typedef struct recorder {
 void recorder_init(recorder_t *recorder, const recorder_app_t *app, recorder_memory_t *memory);
 
 /* Execute the operations of a SETREC request up to the first error; the operations before it remain in effect. */
-uint8_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operations);
+fm_status_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operations);
 
 /* Answer one operation of GETREC. */
-uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t *reply);
+fm_status_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t *reply);
 
 /* Samples at an address; NULL: none, or not readable while recording. */
 const uint8_t *recorder_samples(const recorder_memory_t *memory, uint32_t address, uint32_t size);

@@ -5,9 +5,9 @@
 #include "comm/recorder.h"
 
 #if defined(__GNUC__)
-#define SELDOM __attribute__((noinline))
+#define NOINLINE __attribute__((noinline))
 #else
-#define SELDOM
+#define NOINLINE
 #endif
 
 static uint32_t number_at(const uint8_t *at, uint8_t size)
@@ -19,8 +19,8 @@ static uint32_t number_at(const uint8_t *at, uint8_t size)
     return number;
 }
 
-/* The slow path: values that are not aligned or have 1 or 8 bytes, and thresholds that are variables. */
-static SELDOM bool reached(const recorder_slot_t *slot)
+/* is_above for the other cases: values that are not aligned or have 1 or 8 bytes, and thresholds that are variables. */
+static NOINLINE bool is_above_general(const recorder_slot_t *slot)
 {
     const bool wide = slot->size > 4;
     const uint8_t size = wide ? 4 : slot->size;
@@ -36,6 +36,7 @@ static SELDOM bool reached(const recorder_slot_t *slot)
     return value >= threshold;
 }
 
+/* True if the variable is at or above its threshold. */
 static bool is_above(const recorder_slot_t *slot)
 {
     const void *source = slot->source;
@@ -45,11 +46,11 @@ static bool is_above(const recorder_slot_t *slot)
     if (slot->direct == 4) {
         return (*(const cell4_t *)source ^ slot->bias) >= slot->threshold;
     }
-    return reached(slot);
+    return is_above_general(slot);
 }
 
-/* No trigger before the memory has been filled once. */
-static void judge(recorder_sampling_t *sampling)
+/* Stop a number of points after a trigger. No trigger before the memory has been filled once. */
+static void check_triggers(recorder_sampling_t *sampling)
 {
     recorder_slot_t *const *trigger = sampling->trigger;
     do {
@@ -96,7 +97,7 @@ void recorder_take(recorder_t *recorder)
     }
     sampling->skip = sampling->divider;
     if (sampling->trigger_end != sampling->trigger) {
-        judge(sampling);
+        check_triggers(sampling);
     }
     uint8_t *next = sampling->next + sampling->point;
     store(sampling, sampling->next, next);

@@ -18,7 +18,7 @@ static void reset(scope_t *scope, uint8_t count)
 void scope_init(scope_t *scope) { reset(scope, 0); }
 
 /* 01: u8 count. Bytes after it are ignored; a count that is too large keeps the old setup. */
-static uint8_t run_reset(scope_t *scope, payload_reader_t *operand)
+static fm_status_t run_reset(scope_t *scope, payload_reader_t *operand)
 {
     const uint8_t count = payload_get_u8(operand);
     if (operand->missing || count > SCOPE_SLOTS) {
@@ -28,11 +28,9 @@ static uint8_t run_reset(scope_t *scope, payload_reader_t *operand)
     return FM_OK;
 }
 
-static bool is_variable_size(uint8_t size) { return size == 1 || size == 2 || size == 4 || size == 8; }
-
 /* 02: u8 slot, ADDR, u8 size. Checked in the order of the vendor's server: slot, size, length, access. The address is
  * resolved here and not in every READSCOPE: the table is constant, and READSCOPE masks the control loops. */
-static uint8_t run_slot(scope_t *scope, const tsa_space_t *space, payload_reader_t *operand)
+static fm_status_t run_slot(scope_t *scope, const tsa_space_t *space, payload_reader_t *operand)
 {
     const uint8_t slot = payload_get_u8(operand);
     if (!operand->missing && slot >= scope->count) {
@@ -40,15 +38,15 @@ static uint8_t run_slot(scope_t *scope, const tsa_space_t *space, payload_reader
     }
     const uint32_t address = payload_get_unsigned(operand);
     const uint8_t size = payload_get_u8(operand);
-    if (operand->missing || operand->remaining != 0 || !is_variable_size(size)) {
+    if (operand->missing || operand->remaining != 0 || !tsa_is_variable_size(size)) {
         return FM_BAD_SIZE;
     }
     return tsa_readable(space, address, size, &scope->slot[slot]) ? FM_OK : FM_DENIED;
 }
 
-uint8_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations)
+fm_status_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations)
 {
-    uint8_t status = FM_OK;
+    fm_status_t status = FM_OK;
     payload_operation_t operation;
     while (!fm_is_error(status) && payload_next_operation(operations, &operation)) {
         switch (operation.code) {
@@ -66,7 +64,7 @@ uint8_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader
     return operations->missing ? FM_BAD_SIZE : status;
 }
 
-uint8_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply)
+fm_status_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply)
 {
     if (scope->count == 0) {
         return FM_NOT_CONFIGURED;

@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 #include "comm/payload.h"
+#include "comm/status.h"
 #include "comm/tsa.h"
 
 #define SCOPE_SLOTS 28
@@ -17,9 +18,9 @@ typedef struct {
 void scope_init(scope_t *scope);
 
 /* Execute the operations of a SETSCOPE request up to the first error; the operations before it remain in effect. */
-uint8_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations);
+fm_status_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations);
 
 /* Append the values of all slots; the caller must freeze the snapshot of the application. */
-uint8_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply);
+fm_status_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply);
 
 #endif

@@ -8,6 +8,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+typedef uint8_t fm_status_t; /* one of the FM_ codes below */
+
 #define FM_OK UINT8_C(0x00)               /* success; length of the data known from the request */
 #define FM_OK_VARIABLE UINT8_C(0x40)      /* success, a length byte follows */
 #define FM_UNKNOWN_COMMAND UINT8_C(0x81)  /* unknown command, or feature or sub-operation not implemented */
@@ -27,6 +29,6 @@
 #define FM_BAD_OPERATION UINT8_C(0x95)    /* unknown operation of a recorder */
 #define FM_OUT_OF_RANGE UINT8_C(0x97) /* value outside the range of its variable, refused by the application */
 
-static inline bool fm_is_error(uint8_t status) { return (status & 0x80u) != 0; }
+static inline bool fm_is_error(fm_status_t status) { return (status & 0x80u) != 0; }
 
 #endif

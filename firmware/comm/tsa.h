@@ -89,6 +89,9 @@ static inline tsa_entry_t tsa_entry(const tsa_table_t *table, uint16_t i)
     return entry;
 }
 
+/* Sizes of variables that a recorder or scope accepts, bytes. */
+static inline bool tsa_is_variable_size(uint8_t size) { return size == 1 || size == 2 || size == 4 || size == 8; }
+
 /* True if `size` bytes at `address` are within `extent` bytes at `base`; without overflow. */
 static inline bool tsa_inside(uint32_t address, uint32_t size, uint32_t base, uint32_t extent)
 {

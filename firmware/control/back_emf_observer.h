@@ -1,5 +1,5 @@
-/* back_emf_observer.h - Luenberger observer of currents and back-EMF in the stator frame (ST slide "PMSM
- * 马达的Luenberger观测器").
+/* back_emf_observer.h - Luenberger observer of currents and back-EMF in the stator frame (ST slide
+ * "Luenberger observer of the PMSM").
  *
  *   L di/dt = v - R i - e,  de_alpha/dt = -omega e_beta,  de_beta/dt = omega e_alpha
  *

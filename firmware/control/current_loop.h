@@ -7,8 +7,8 @@
 #include "control/svm.h"
 
 typedef struct {
-    pi_gains_t d;
-    pi_gains_t q;
+    pi_gains_t d; /* Kp = omega_c L_d, Kp Ki Ts = omega_c R_s T: the zero cancels the pole of the winding */
+    pi_gains_t q; /* Kp = omega_c L_q, Kp Ki Ts = omega_c R_s T */
     gain_t omega_l_d;  /* omega_e L_d i: full-scale speed x L_d x full-scale current / full-scale voltage */
     gain_t omega_l_q;  /* omega_e L_q i, scaled as omega_l_d; DRM E20 and E21 have one L_s, this rotor is salient */
     gain_t omega_psi;  /* omega_e psi_m */
@@ -47,7 +47,8 @@ void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *c
 void current_loop_retune(current_loop_t *loop, const current_loop_config_t *before, const current_loop_config_t *config,
                          dq_t reference);
 
-/* Limit the voltage to a circle; the d axis has priority, because it controls the flux. `u_d` is `sum_d`, rounded. */
+/* Limit the voltage to a circle; the d axis has priority, because it controls the flux: |u_d| <= u_limit, then
+ * |u_q| <= sqrt(u_limit^2 - u_d^2). `u_d` is `sum_d`, rounded. */
 void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_d, frac16_t u_limit);
 
 /* A quarter of the full scale (9 V), which is below the under-voltage limit. It bounds the quotient of the ripple
@@ -79,8 +80,14 @@ static inline sin_cos_t current_loop_ahead(const current_loop_t *loop, sin_cos_t
     return result;
 }
 
-/* One PWM period: phase currents to duties. `theta_e`: angle at the sampling instant; `u_dc`: bus voltage of this
- * period. */
+/* One PWM period T of the field-oriented current control: phase currents to duties. In the rotor frame, e = i* - i:
+ *
+ *   u_d = Kp_d e_d + u_id - omega_e L_q i_q                     PI controllers (pi.h), decoupling of the axes
+ *   u_q = Kp_q e_q + u_iq + omega_e L_d i_d + omega_e psi_m     and feed-forward of the back-EMF (E18, E19)
+ *   u_d^2 + u_q^2 <= u_limit^2                                  u_limit = modulation_limit 2/3 u_dc
+ *   m = u e^(j (theta_e + omega_e T)) / (2/3 u_dc)              to the stator frame; compensation of the bus ripple
+ *
+ * `theta_e`: angle at the sampling instant; `u_dc`: bus voltage of this period. */
 static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
                                       dq_t reference, frac16_t theta_e, frac16_t u_dc)
 {
@@ -92,7 +99,6 @@ static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_c
     loop->current.d = i.d;
     loop->current.q = i.q;
 
-    /* E34..E36, and the decoupling of E18 and E19 */
     pi_sum_t sum_d = pi_sum(&loop->d, &config->d, f32_from_f16(f16_sub(reference.d, i.d)));
     sum_d = pi_sum_add(sum_d, loop->minus_2_omega * i.q, config->omega_l_q);
     pi_sum_t sum_q = pi_sum(&loop->q, &config->q, f32_from_f16(f16_sub(reference.q, i.q)));

@@ -1,5 +1,7 @@
+/* current_loop_retune.c - a file of its own, because it runs from flash and current_loop.c from RAM. */
 #include "control/current_loop.h"
 
+/* u_i' = u_i + (Kp - Kp') e + decoupling with the old values - decoupling with the new ones. */
 void current_loop_retune(current_loop_t *loop, const current_loop_config_t *before, const current_loop_config_t *config,
                          dq_t reference)
 {

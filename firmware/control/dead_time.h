@@ -10,7 +10,7 @@
 #include "control/transforms.h"
 
 typedef struct {
-    frac16_t duty;   /* t_d f: dead time as a part of the PWM period */
+    frac16_t duty; /* t_d f: dead time as a part of the PWM period, Q1.15; the name is one of the contract */
     frac16_t v_drop; /* voltage drop of a switch or diode, Q1.15 of full-scale bus voltage */
     int16_t slope;   /* full-scale current / current above which the sign is certain, 8 fraction bits */
 } dead_time_config_t;
@@ -27,7 +27,9 @@ static inline int32_t dead_time_leg(int32_t duty, int32_t current, int32_t loss,
     return sat15(duty + asr32(loss * sign + INT32_C(0x4000), 15));
 }
 
-/* Duties that produce the commanded mean voltages; `reciprocal` is 2^29 / u_dc (Q1.15 of the full-scale bus). */
+/* Duties that produce the commanded mean voltages:
+ *   d' = d + (t_d f + V_drop / u_dc) s(i),  s(i) = limit(i / i_s, -1, 1)
+ * with the current i_s above which the sign is certain. `reciprocal` is 2^29 / u_dc (Q1.15 of the full-scale bus). */
 static inline abc_t dead_time_compensate(const dead_time_config_t *config, abc_t duty, abc_t current,
                                          int32_t reciprocal)
 {

@@ -1,10 +1,14 @@
 /* field_weakening.h - field weakening: negative i_d at speeds at which the back-EMF exceeds the voltage limit
  * (doc/field-weakening.md).
  *
- * An integral controller keeps the stator voltage one margin below its limit. Two actuators in sequence: i_d down to
- * -i_d_max, then the motoring i_q down to 0; in the other direction i_q first. Each step changes one of the two.
+ * Voltage feedback: an integral controller keeps the stator voltage one margin below its limit. Two actuators in
+ * sequence: i_d down to -i_d_max, then the motoring i_q down to 0; in the other direction i_q first. Each step changes
+ * one of the two.
  *
- * Error: difference of the squared voltages, to first order 2 u_max (u_max - |u|); no square root is needed. The
+ *   -i_d(k+1) = limit(-i_d(k) + K (u_d^2 + u_q^2 - u_target^2), 0, i_d_max),  u_target = u_max - margin
+ *   i_q       <= sqrt(i_max^2 - i_d^2)                              while field weakening is active
+ *
+ * Error: difference of the squared voltages, to first order 2 u_max (|u| - u_target); no square root is needed. The
  * measured voltage is the output of the current controllers before their limit, because the limited voltage exceeds the
  * target by at most the margin.
  */

@@ -71,8 +71,8 @@ void path_filter_start_braking(path_filter_t *path, int32_t target, path_positio
 {
     const int32_t sign = (path->speed < 0) ? -1 : 1;
     const path_position_t speed = sign * path->speed;
-    const path_position_t room = -sign * path_beyond(path->ramp, target);
-    if (speed == 0 || safe_speed(room, acceleration, speed) >= speed - acceleration) {
+    const path_position_t distance = -sign * path_beyond(path->ramp, target);
+    if (speed == 0 || safe_speed(distance, acceleration, speed) >= speed - acceleration) {
         return;
     }
     /* In steady deceleration the ramp is slower than the output by 2 a / omega_n, and its lead is smaller by a /
@@ -131,7 +131,7 @@ void path_filter_step(path_filter_t *path, int32_t target, path_position_t step_
                                      : next_speed(path->speed, distance, step_limit, acceleration);
         path->ramp += path->speed;
     }
-    /* E40 */
+    /* E40, omega_n^2 / (s + omega_n)^2: m = m + omega_n Ts (x - 2 m - y), y = y + omega_n Ts m */
     path->filter += scaled(path->ramp - 2 * path->filter - path->output, omega_n_ts);
     path->output += scaled(path->filter, omega_n_ts);
 }

@@ -1,4 +1,9 @@
-/* pi.h - PI controller with back-calculation anti-windup (DRM 2.5.2, E34..E37). */
+/* pi.h - PI controller with back-calculation anti-windup (DRM 2.5.2, E34..E37).
+ *
+ *   u_presat(k) = Kp e(k) + u_i(k)
+ *   u_out(k)    = limit(u_presat(k), -u_max, u_max)
+ *   u_i(k)      = u_i(k-1) + Kp Ki Ts e(k) + Kc (u_out(k-1) - u_presat(k-1))
+ */
 #ifndef SERVO_CONTROL_PI_H
 #define SERVO_CONTROL_PI_H
 

@@ -1,6 +1,13 @@
-/* pll.h - phase-locked loop on the observed back-EMF (ST slides "锁相环 (PLL)", "PLL 闭环系数计算").
+/* pll.h - phase-locked loop on the observed back-EMF (ST slides "Phase-locked loop (PLL)", "Calculation
+ * of the closed-loop coefficients of the PLL").
  *
- * In the frame of DRM E13 the phase error is -(e_alpha cos(theta) + e_beta sin(theta)) = omega psi_m sin(angle error).
+ * In the frame of DRM E13, per PWM period T:
+ *
+ *   error   = -(e_alpha cos(theta) + e_beta sin(theta)) = omega psi_m sin(theta_true - theta)     phase detector
+ *   omega_i = omega_i + Ki T error,  omega = omega_i + Kp error                                   PI loop filter
+ *   theta   = theta + omega T
+ *
+ * Natural frequency sqrt(Ki omega psi_m), damping Kp sqrt(omega psi_m / Ki) / 2. The error is negated at negative speed.
  * As on the slide the integral gain is constant: the natural frequency is proportional to the square root of the speed,
  * and at low speed below the sixth harmonic, the ripple of the dead time. The proportional gain is inversely
  * proportional to the square root of the back-EMF, for constant damping. Extension of the slide: acceleration
@@ -45,12 +52,17 @@ typedef struct {
 /* Initialise with the rotor at `angle`, rotating at `step`. */
 void pll_reset(pll_t *pll, uint32_t angle, int32_t step);
 
-/* Adapt the proportional gain to the amplitude `emf` of the back-EMF. */
+/* Adapt the proportional gain to the amplitude `emf` of the back-EMF: Kp = 2 damping sqrt(Ki / emf). */
 void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf);
 
-/* One slow tick: feed the acceleration by `i_q` forward, and correct speed and load estimate with the amplitude
- * error of the back-EMF, which responds to a load step before the phase. `residual_emf`: observed minus expected
- * back-EMF. `rotation`: change of the angle in this tick, from which the amplitude offset is estimated. */
+/* One slow tick Ts: feed the acceleration by `i_q` forward, and correct speed and load estimate with the amplitude
+ * error of the back-EMF, which responds to a load step before the phase:
+ *
+ *   omega_i = omega_i + Ts (p Kt i_q / J + a_load) + k_a (e_q - omega psi_m - bias)
+ *   a_load  = a_load + k_l error sqrt(emf) + k_al (e_q - omega psi_m - bias)
+ *
+ * `residual_emf`: observed minus expected back-EMF. `rotation`: change of the angle in this tick, from which the
+ * amplitude offset `bias` is estimated. */
 void pll_feed_forward(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t residual_emf, int32_t rotation);
 
 /* Bumpless change of the nominal values of motor and shaft, at the current `i_q`. */

@@ -15,8 +15,14 @@ typedef struct {
 /* Over-modulation: duty of a leg whose active time is shorter than the longest one by `less`, scaled to the period. */
 static inline int32_t svm_shortened(int32_t less, int32_t active) { return SVM_FULL - less * SVM_FULL / active; }
 
-/* `modulation`: commanded stator voltage / (2/3 u_dc), the length of the active vectors U0..U300; (1, 0) is U0. The
- * linear range ends at sqrt(3)/2. A vector outside the hexagon is shortened to its edge, with constant direction. */
+/* `modulation` m: commanded stator voltage / (2/3 u_dc), the length of the active vectors U0..U300; (1, 0) is U0. The
+ * linear range ends at sqrt(3)/2. Both zero vectors get equal times (E30), as with min-max injection:
+ *
+ *   x_a = m_alpha + m_beta / sqrt(3),  x_b = 2 m_beta / sqrt(3),  x_c = 0    line voltages to leg c / u_dc
+ *   d_k = x_k + (1 - max(x) - min(x)) / 2                                    duties, k = a, b, c
+ *   d_k = 1 - (max(x) - x_k) / (max(x) - min(x))                             if max(x) - min(x) > 1
+ *
+ * The last line shortens a vector outside the hexagon to its edge, with constant direction. */
 static inline svm_t svm(ab_t modulation)
 {
     /* Projections on the normals of the three sector borders: as parts of the period, how much longer leg a is high

@@ -63,7 +63,8 @@ static inline int32_t length_about(int32_t x, int32_t y)
     return (a > b) ? a + b / 2 : b + a / 2;
 }
 
-/* Park transformation and its inverse; `at`: sine and cosine of the rotor angle (E16). */
+/* Park transformation and its inverse; `at`: sine and cosine of the rotor angle (E16).
+ *   d = alpha cos + beta sin,  q = beta cos - alpha sin. */
 static inline dq_t park(ab_t x, sin_cos_t at)
 {
     const dq_t result = {

@@ -38,6 +38,7 @@ frac16_t winding_model_limit(const winding_model_t *model, const winding_model_c
     if (now >= config->maximum) {
         return config->rated_current;
     }
-    const int32_t room = (int32_t)(max - config->rated_current) * (config->maximum - now);
-    return (frac16_t)(config->rated_current + room / (config->maximum - config->derating));
+    /* i_rated + (i_max - i_rated) (T_max - T) / (T_max - T_derating) */
+    const int32_t weighted = (int32_t)(max - config->rated_current) * (config->maximum - now);
+    return (frac16_t)(config->rated_current + weighted / (config->maximum - config->derating));
 }

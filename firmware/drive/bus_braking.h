@@ -32,10 +32,10 @@ typedef struct {
 } bus_braking_t;
 
 /* Initialise with the resistor off and cold. */
-void bus_braking_init(bus_braking_t *brake);
+void bus_braking_init(bus_braking_t *braking);
 
-/* One slow tick at the bus voltage `u_dc`; `fitted`: a resistor is fitted. Sets `brake->on`, the command of its
+/* One slow tick at the bus voltage `u_dc`; `fitted`: a resistor is fitted. Sets `braking->on`, the command of its
  * switch. */
-void bus_braking_step(bus_braking_t *brake, const bus_braking_config_t *config, bool fitted, frac16_t u_dc);
+void bus_braking_step(bus_braking_t *braking, const bus_braking_config_t *config, bool fitted, frac16_t u_dc);
 
 #endif

@@ -28,15 +28,15 @@ typedef struct {
 } feedback_source_t;
 
 /* State of the encoder source. The edge interrupt has the lowest priority and may be interrupted by the slow loop:
- * it only stores the latched edge, the slow loop evaluates it. */
+ * it only stores the captured edge, the slow loop evaluates it. */
 typedef struct {
     encoder_t position;
     mt_speed_t speed;
     speed_observer_t observer;
     bool observes; /* the speed observer is running and provides the speed */
-    edge_capture_t edge; /* last latched edge */
+    edge_capture_t edge; /* last captured edge */
     volatile bool edge_waits; /* `edge` is not evaluated yet */
-    bool skip_edge; /* the next edge may have been latched before the counter was preset */
+    bool skip_edge; /* the next edge may have been captured before the counter was preset */
     bool found; /* a rotor search was successful before: the position is counted from there (E41) */
 } encoder_feedback_t;
 

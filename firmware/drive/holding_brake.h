@@ -19,7 +19,7 @@ static inline bool holding_brake_is_open(const axis_t *axis)
     return !holding_brake_fitted(axis) || (axis->brake.powered && axis->brake.ticks == 0U);
 }
 
-/* True if the brake is closed. */
+/* True if the brake is closed. Only for axes with a fitted brake. */
 static inline bool holding_brake_is_closed(const axis_t *axis)
 {
     return !axis->brake.powered && axis->brake.ticks == 0U;

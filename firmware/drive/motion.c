@@ -259,7 +259,8 @@ static bool rests(axis_t *axis)
     return !((off > 0 && held < 0) || (off < 0 && held > 0));
 }
 
-/* F26: proportional only, because no overshoot is allowed (E42..E45). */
+/* Position controller (F26, E42..E45): omega* = K_v (x* - x), plus the speed of the path with speed feed-forward.
+ * Proportional only, because no overshoot is allowed. */
 static frac32_t requested_speed(const axis_t *axis, path_position_t behind)
 {
     const frac32_t behind_q8 = sat32(asr64(behind, PATH_BITS - 8));
@@ -279,8 +280,9 @@ static frac32_t followed_speed(axis_t *axis, path_position_t behind)
     return (shaped > axis->limits.speed) ? f32_clip(speed, shaped) : limited;
 }
 
-/* Position of an ideal shaft under the position controller; the difference to the real one is the following error. The lag
- * of a plain gain does not count, nor what the bus holds back. */
+/* Position of an ideal shaft under the position controller; the difference to the real one is the following error. The
+ * steady lag of the position controller is excluded, and so is motion with a current that is reduced by bus, winding or
+ * field weakening. */
 static void follow_model(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;

@@ -120,7 +120,7 @@ static void observe_stall(axis_t *axis)
 }
 
 /* Start of the stall test: locate the rotor before the fault is raised. */
-static void spin_align(axis_t *axis)
+static void spin_stall_test(axis_t *axis)
 {
     sensorless_estimate_stop(axis);
     axis->fast = LOOP_FAST;
@@ -395,13 +395,13 @@ static void bring_to_rest(axis_t *axis)
 static void bound_current(axis_t *axis)
 {
     const frac16_t limit = axis->current_max.vector;
-    frac16_t room = limit;
+    frac16_t i_q_max = limit;
     if (axis->current_ref.d != 0) {
         const frac16_t d = f16_limit(axis->current_ref.d, limit);
         axis->current_ref.d = d;
-        room = f16_sqrt(f32_mul16(limit, limit) - f32_mul16(d, d));
+        i_q_max = f16_sqrt(f32_mul16(limit, limit) - f32_mul16(d, d));
     }
-    axis->current_ref.q = f16_limit(axis->current_ref.q, room);
+    axis->current_ref.q = f16_limit(axis->current_ref.q, i_q_max);
 }
 
 static finding_set_t monitor_shaft(axis_t *axis)
@@ -428,7 +428,7 @@ static void judge_shaft(axis_t *axis, finding_set_t findings)
 {
     const finding_set_t findings_enabled = fault_enabled(findings, axis->latch.enabled);
     if (findings_enabled == FOUND(FINDING_SHAFT_BLOCKED) && axis->enable_requested && !axis->sensorless) {
-        spin_align(axis);
+        spin_stall_test(axis);
     } else {
         axis_raise(axis, findings_enabled);
     }
@@ -588,6 +588,7 @@ static void freewheel_slow(axis_t *axis)
 const axis_function_t run_table[7][6] = {
     [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast, idle, idle, calib_fast},
     [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast, track_offsets, idle, ready_fast},
+    /* rotor search, or stall test (spin_stall_test) */
     [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast, track_offsets, idle, align_fast},
     [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast, spin_estimate, spin_check, spin_test_signal_fast},
     [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast, track_offsets, idle, freewheel_fast},

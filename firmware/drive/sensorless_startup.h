@@ -1,4 +1,5 @@
-/* sensorless_startup.h - start-up from rest to the minimum speed of the observer (ST slides "起动策略", "起动成功的判据").
+/* sensorless_startup.h - start-up from rest to the minimum speed of the observer (ST slides
+ * "Start-up strategy", "Criterion of a successful start-up").
  *
  *   CATCH  The current is controlled to zero, and the back-EMF of a rotating shaft is observed.
  *   TRACK  The PLL locks.

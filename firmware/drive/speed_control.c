@@ -2,7 +2,7 @@
 
 #include "drive/soft_limits.h"
 
-/* Feed-forward current, for friction and for the acceleration. */
+/* Feed-forward current, for friction and for the acceleration: J alpha / Kt. */
 static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
 {
     const motion_state_t *m = &axis->motion;
@@ -98,6 +98,8 @@ void speed_control_retune(axis_t *axis, const axis_config_t *config)
     m->speed_pi.integral = pi_sum_saturated(kept + pi_sum_of(gained));
 }
 
+/* Speed controller (F20, E34..E37), PI with anti-windup (control/pi.h):
+ *   i_q* = limit(Kp (omega* - omega) + i_i + i_forward, -i_max, i_max). */
 frac16_t speed_control(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -125,7 +127,7 @@ frac16_t speed_control(axis_t *axis)
 /* Largest current towards a limit of the speed, given the margin of the speed and of the mean speed. Near the limit the
  * proportional part of the speed controller reduces the current. Beyond it the integral part `held` (<= 0) grows
  * against a load that drives the shaft, and decays again within the limit. */
-static frac32_t room(const axis_t *axis, frac32_t ahead, frac32_t mean_ahead, frac32_t *held)
+static frac32_t current_margin(const axis_t *axis, frac32_t ahead, frac32_t mean_ahead, frac32_t *held)
 {
     const pi_gains_t *gains = speed_gains(axis);
     const frac32_t integral = f32_add(*held, f32_gain(mean_ahead, gains->ki));
@@ -141,9 +143,9 @@ frac16_t torque_control(axis_t *axis)
     frac32_t above = (m->limit_hold_current < 0) ? m->limit_hold_current : 0;
     frac32_t below = (m->limit_hold_current > 0) ? -m->limit_hold_current : 0;
     const frac32_t max =
-        room(axis, f32_sub(range.max, feedback->speed), f32_sub(range.max, feedback->mean_speed), &above);
+        current_margin(axis, f32_sub(range.max, feedback->speed), f32_sub(range.max, feedback->mean_speed), &above);
     const frac32_t back =
-        room(axis, f32_sub(feedback->speed, range.min), f32_sub(feedback->mean_speed, range.min), &below);
+        current_margin(axis, f32_sub(feedback->speed, range.min), f32_sub(feedback->mean_speed, range.min), &below);
     const frac32_t min = f32_sub(0, back);
     m->limit_hold_current = above - below;
     const frac16_t requested = f16_limit(m->i_q_target, axis->current_max.q);

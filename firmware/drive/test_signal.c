@@ -26,9 +26,9 @@ static bool possible(const axis_t *axis, uint16_t point)
     return (axis->substate == SUBSTATE_SPIN) ? !stopping(axis) : (axis->substate == SUBSTATE_TEST && fast(point));
 }
 
-/* Room for the signal: the vector sum of set-point and signal stays within the limit of i_q. Set-points change once per
+/* Largest amplitude of the signal: the vector sum of set-point and signal stays within the limit of i_q. Set-points change once per
  * slow tick. */
-static frac16_t room(const axis_t *axis)
+static frac16_t amplitude_max(const axis_t *axis)
 {
     const frac16_t max = axis->current_max.q;
     const frac16_t other =
@@ -65,7 +65,7 @@ void test_signal_step(axis_t *axis)
         end(axis);
         return;
     }
-    signal->limit = room(axis);
+    signal->limit = amplitude_max(axis);
     if (fast(signal->point)) {
         axis->fast = LOOP_TEST_SIGNAL;
         return;

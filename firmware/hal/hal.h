@@ -34,7 +34,7 @@ typedef struct {
     uint16_t second; /* code of the second phase of the pair */
 } adc_pair_t;
 
-/* Encoder counter and free-running time stamp (bus clock / 128), both latched by the same B edge (DRM F17). */
+/* Encoder counter and free-running time stamp (bus clock / 128), both captured at the same B edge (DRM F17). */
 typedef struct {
     uint16_t count; /* encoder counts, 16 bits */
     uint16_t time; /* ticks of bus clock / 128 */
@@ -91,7 +91,7 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
 /* ---- DC bus and monitor outputs --------------------------------------------------------------------------------- */
 
 /* Switch of the brake resistor between bus voltage and ground. */
-void hal_brake(hal_t *hal, bool on);
+void hal_brake_resistor(hal_t *hal, bool on);
 
 /* Two slow analogue outputs for an oscilloscope; 0: 0 V, 65535: full voltage. */
 #define HAL_ANALOG_OUTS 2
@@ -106,14 +106,14 @@ void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 /* TMRx2: number of emulated index pulses, counts upwards in both directions of rotation (F13). */
 uint16_t hal_index_count(hal_t *hal, uint16_t axis);
 
-/* Clear the capture flags of TMRx0/1/3 and arm the B-edge interrupt; the next B edge is latched, later ones are not. */
+/* Clear the capture flags of TMRx0/1/3 and arm the B-edge interrupt; the next B edge is captured, later ones are not. */
 void hal_capture_arm(hal_t *hal, uint16_t axis);
 
-/* If a B edge has been latched since arming: store it, disarm the interrupt and return true. A second call before the
+/* If a B edge has been captured since arming: store it, disarm the interrupt and return true. A second call before the
  * next arming returns false. */
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
 
-/* TMRx3: time since the last latched B edge in units of bus clock / 128; HAL_EDGE_AGE_OVERFLOW once 16 bits are not
+/* TMRx3: time since the last captured B edge in units of bus clock / 128; HAL_EDGE_AGE_OVERFLOW once 16 bits are not
  * enough (F19). */
 #define HAL_EDGE_AGE_OVERFLOW UINT32_C(0x10000)
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
@@ -125,6 +125,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
  * sector or word are undefined; the data flash cannot be read during a command. */
 #define HAL_FLASH_SECTORS 4U
 #define HAL_FLASH_SECTOR_WORDS 256U
+#define HAL_FLASH_ERASED UINT32_C(0xFFFFFFFF) /* word of an erased sector */
 
 typedef enum {
     HAL_FLASH_DONE,

@@ -1,9 +1,14 @@
 /* speed_observer.h - observer of the speed from encoder count and current.
  *
  * Extension of the reference design. Near standstill the M/T speed is as old as the last edge, tens of milliseconds,
- * and a speed loop with a bandwidth of tens of hertz oscillates. The observer integrates the acceleration by the
- * current. The count is a quantised measurement: no correction while the estimated position is within the present
- * count.
+ * and a speed loop with a bandwidth of tens of hertz oscillates. Luenberger observer of position x, speed v and load
+ * acceleration a, in counts and slow ticks; it integrates the acceleration by the current:
+ *
+ *   x = x + v + (Kt i_q / J + a) / 2,  v = v + Kt i_q / J + a               prediction
+ *   x = x + l_1 e,  v = v + l_2 e,  a = a + l_3 e                           correction, e: measured minus estimated
+ *
+ * The count is a quantised measurement: no correction while the estimated position is within the present count, and
+ * otherwise e is the distance to it.
  */
 #ifndef SERVO_SENSING_SPEED_OBSERVER_H
 #define SERVO_SENSING_SPEED_OBSERVER_H

@@ -2,16 +2,16 @@
 
 void speed_reliability_reset(speed_reliability_t *reliability) { *reliability = (speed_reliability_t){0}; }
 
-static void take(speed_reliability_t *r, frac16_t speed)
+static void take(speed_reliability_t *reliability, frac16_t speed)
 {
-    const int32_t old = r->speed[r->next];
+    const int32_t old = reliability->speed[reliability->next];
     const int32_t new = speed;
-    r->sum += new - old;
-    r->squares += (int64_t)(new *new) - old * old;
-    r->speed[r->next] = speed;
-    r->next = (uint16_t)((r->next + 1U) % SPEED_RELIABILITY_SIZE);
-    if (r->filled < SPEED_RELIABILITY_SIZE) {
-        r->filled++;
+    reliability->sum += new - old;
+    reliability->squares += (int64_t)(new *new) - old * old;
+    reliability->speed[reliability->next] = speed;
+    reliability->next = (uint16_t)((reliability->next + 1U) % SPEED_RELIABILITY_SIZE);
+    if (reliability->filled < SPEED_RELIABILITY_SIZE) {
+        reliability->filled++;
     }
 }
 

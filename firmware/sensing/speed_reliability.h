@@ -1,4 +1,5 @@
-/* speed_reliability.h - variance criterion for the observed speed (ST slides "起动成功的判据", "转子堵转检测")
+/* speed_reliability.h - variance criterion for the observed speed (ST slides "Criterion of a
+ * successful start-up", "Detection of a blocked rotor").
  *
  * Mean and variance of the last 64 observed speeds. The speed of a rotating shaft is nearly constant within that time;
  * without back-EMF the observer follows noise.

@@ -29,7 +29,7 @@ typedef struct chip {
     int accesses;
     uint16_t data[16]; /* bytes in the receiver */
     int data_in, data_out;
-    bool takes_edge; /* the application reads a latched edge in servo_edge_isr */
+    bool takes_edge; /* the application reads a captured edge in servo_edge_isr */
     edge_capture_t taken;
     int slip; /* number of writes to a timer until an edge occurs */
 } fake_chip_t;

@@ -208,7 +208,7 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
 
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return hal->axis[axis].temperature_code; }
 
-void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+void hal_brake_resistor(hal_t *hal, bool on) { hal->brake_resistor = on; }
 
 uint16_t hal_inputs(hal_t *hal, uint16_t axis) { return hal->axis[axis].inputs; }
 

@@ -59,7 +59,7 @@ struct hal {
     fake_axis_t axis[HAL_AXES];
     uint16_t bus_code;
     uint16_t monitor[HAL_ANALOG_OUTS];
-    bool brake;
+    bool brake_resistor;
     bool reset_by_watchdog;
     uint16_t late_loops;
     uint16_t receiver_overruns;

@@ -25,10 +25,10 @@ enum { STEP_RAW, STEP_FRAME, STEP_PRINT, STEP_FINISH, STEP_SAMPLE };
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
-static void require(bool holds, const char *what)
+static void require(bool holds, const char *requirement)
 {
     if (!holds) {
-        fprintf(stderr, "%s\n", what);
+        fprintf(stderr, "%s\n", requirement);
         abort();
     }
 }

@@ -154,11 +154,11 @@ def test_locked_parameters_of_the_board_are_not_read_and_pending_faults_not_publ
     assert bench.axis(0).latch.pending & FAULTS.OVER_CURRENT
     assert bench.servo.record[0].pending == 0
     settings = bench.servo.settings
-    assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before, 0, False)
+    assert (settings.host_timeout, settings.monitor[0], settings.brake_resistor_fitted) == (before, 0, False)
     bench.servo.locked = False
     bench.slow(2)
     assert bench.servo.record[0].pending & FAULTS.OVER_CURRENT
-    assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before + 1, 1, True)
+    assert (settings.host_timeout, settings.monitor[0], settings.brake_resistor_fitted) == (before + 1, 1, True)
 
 
 def test_an_omitted_latch_does_not_repeat_a_new_write(bench: Bench) -> None:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import random
-import sys
 from typing import Any
 
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.restore import restore_table, toml_text
 from servo_msgs_py.tuning.tuned import tuned
 from tuning_tool import CATALOGUE, axis, configuration, table
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 TIMEOUTS = (0.5, 0.25)
 

@@ -97,7 +97,7 @@ def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
 def test_angle_error_by_a_wrong_nominal_value_agrees_with_theory(
     core: Core, r: float, l_s: float, maximum: float
 ) -> None:
-    """ST slide "控制性能介绍": low sensitivity to R_s, moderate to L_s.
+    """ST slide "Performance of the control": low sensitivity to R_s, moderate to L_s.
 
     With i_d = 0, R changes only the amplitude of e, and L rotates it by delta_L i_q / psi.
     """

@@ -145,7 +145,7 @@ def test_preset_of_the_counter_is_no_movement(bench: Bench) -> None:
         bench.slow()
     old = bench.shaft[0].raw
     assert hal.count != old, "the preset changes the counter"
-    for count in (old, hal.count, hal.count):  # the first edge was latched just before the preset
+    for count in (old, hal.count, hal.count):  # the first edge was captured just before the preset
         hal.edge.count, hal.edge.time, hal.edge_waits = count, (hal.edge.time + 391) & 0xFFFF, True
         bench.slow()
         assert bench.view(0).speed == 0

@@ -263,7 +263,7 @@ def test_the_resistor_is_switched_and_raises_the_limit(turning: Bench) -> None:
     turning.write_raw("param.brake", [1])
     turning.hal.bus_code = bus_code(28.2)
     turning.slow(10)
-    assert turning.hal.brake
+    assert turning.hal.brake_resistor
     assert all(turning.view(axis).limits & 0x40 for axis in range(2))
     turning.hal.bus_code = bus_code(34.5)
     turning.slow(100)
@@ -279,4 +279,4 @@ def test_an_exhausted_resistor_enables_the_over_voltage_fault_again(turning: Ben
     ticks = turning.until(lambda: turning.view(0).state == STATE.FAULT, 2000)
     assert ticks * 0.5e-3 == pytest.approx(60.0 / (34.0**2 / 4.7 - 10.0), rel=0.03)
     assert turning.view(0).faults == FAULTS.OVER_VOLTAGE
-    assert not turning.hal.brake
+    assert not turning.hal.brake_resistor

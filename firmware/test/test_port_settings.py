@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,7 @@ from typing import Any
 import pytest
 from firmware_compiler import FIRMWARE, STRICT, CompileC, CompileProgram, defined
 from port_board import PORT, names_of
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from servo_msgs_py.toml import tomllib
 
 # The reference configuration, calculated by hand for a bus of 100 MHz, 16 kHz, 1 us of dead time and 115200 baud.
 REFERENCE = {

@@ -156,7 +156,7 @@ def test_deviation_is_confirmed_after_some_ticks(core: Core) -> None:
     assert check.ticks == 0
 
 
-# ---- oscillation not detected by the criterion (ST slide "转子堵转检测") ------------------------------------------
+# ---- oscillation not detected by the criterion (ST slide "Detection of a blocked rotor") ----------------------------
 
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])

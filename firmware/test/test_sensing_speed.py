@@ -30,7 +30,7 @@ class Speed:
         core.lib.mt_speed_reset(self.c)
 
     def edge(self, count: int, time: int) -> float:
-        """A latched edge; returns the speed computed from it."""
+        """A captured edge; returns the speed computed from it."""
         address = self._core.ffi.addressof
         self._core.lib.mt_speed_edge(
             self.c, self.mt_config, address(self._config.encoder), (count & 0xFFFF, time & 0xFFFF)

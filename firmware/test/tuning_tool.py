@@ -5,20 +5,15 @@ from __future__ import annotations
 import copy
 import math
 import re
-import sys
 from typing import Any, Final
 
 from firmware_compiler import FIRMWARE
 from hypothesis import strategies as st
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.tuning.configuration import Configuration
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.tuned import Tuned, tuned
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 FILE: Final = FIRMWARE / "config" / "servo.toml"
 GENERATED: Final = FIRMWARE / "config" / "servo_config_gen.c"

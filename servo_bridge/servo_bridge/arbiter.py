@@ -3,7 +3,7 @@
 A request is accepted if the link is up, set-points are released (by the service ``enable`` only), every commanded axis
 is in RUN/SPIN, and every value is inside the limits of the board and of the configuration. It is accepted or refused as
 a whole. Accepted set-points go to the `SetPointQueue` as raw firmware integers. Requests are in joint units, raw
-integers in motor units. Pure.
+integers in motor units.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Access of the parts of the supervisor to the board, the thread of the executor and the log. Pure."""
+"""Access of the parts of the supervisor to the board, the thread of the executor and the log."""
 
 from __future__ import annotations
 

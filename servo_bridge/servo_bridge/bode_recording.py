@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.bode import Bode
-from servo_msgs_py.measurement.bode_report import rows, text
+from servo_msgs_py.measurement.bode_report import COLUMNS, rows, text
 
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 
@@ -19,11 +19,11 @@ LOG_FREQUENCY: Final = "log_frequency"
 """Timeline with one second per decade, from 1 Hz."""
 
 _CURVES: Final = (
-    ("gain", "measured", 1, "gain [dB]"),
-    ("gain", "predicted", 6, "predicted gain [dB]"),
-    ("phase", "measured", 2, "phase [degrees]"),
-    ("phase", "predicted", 7, "predicted phase [degrees]"),
-    ("coherence", "measured", 5, "coherence"),
+    ("gain", "measured", "gain [dB]"),
+    ("gain", "predicted", "predicted gain [dB]"),
+    ("phase", "measured", "phase [degrees]"),
+    ("phase", "predicted", "predicted phase [degrees]"),
+    ("coherence", "measured", "coherence"),
 )
 
 
@@ -32,7 +32,7 @@ def write_recording(bode: Bode, path: Path) -> None:
 
     Raises
     ------
-    UsageError
+    RerunMissingError
         If rerun is not installed.
     """
     rr = import_rerun(f"{path.name}: a recording")
@@ -56,12 +56,14 @@ def write_recording(bode: Bode, path: Path) -> None:
             auto_views=False,
         )
     )
-    table = rows(bode)
-    table[~bode.response.good, 1:3] = np.nan  # gap: these points are not valid
-    for quantity, which, column, head in _CURVES:
+    columns = dict(zip(COLUMNS, rows(bode).T, strict=True))
+    for name in ("gain [dB]", "phase [degrees]"):
+        columns[name][~bode.response.good] = np.nan  # gap: these points are not valid
+    frequency = columns["frequency [Hz]"]
+    for quantity, which, name in _CURVES:
         entity = entity_of([*base, quantity, which])
-        recording.log(entity, rr.SeriesLines(names=head), static=True)
-        for line, position in ((LOG_FREQUENCY, np.log10(table[:, 0])), (FREQUENCY, table[:, 0])):
-            send_curve(recording, entity, rr.TimeColumn(line, duration=position), table[:, column])
+        recording.log(entity, rr.SeriesLines(names=name), static=True)
+        for line, position in ((LOG_FREQUENCY, np.log10(frequency)), (FREQUENCY, frequency)):
+            send_curve(recording, entity, rr.TimeColumn(line, duration=position), columns[name])
     recording.log(figures, rr.TextDocument(text(bode)), static=True)
     recording.flush()

@@ -1,4 +1,4 @@
-"""Figures of the demonstration as text tables and as JSON. Pure."""
+"""Figures of the demonstration as text tables and as JSON."""
 
 from __future__ import annotations
 

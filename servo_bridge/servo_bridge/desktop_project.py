@@ -1,4 +1,4 @@
-"""Project file for the FreeMASTER desktop tool: every variable of the board with its unit, scale and limits. Pure.
+"""Project file for the FreeMASTER desktop tool: every variable of the board with its unit, scale and limits.
 
 The tool (FreeMASTER 3) stores its project in a ``.pmpx`` file: an XML archive of objects that refer to each other by
 name. The contents of the objects are derived from projects that NXP publishes; the generated files have not been tested

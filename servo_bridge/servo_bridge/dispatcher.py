@@ -2,7 +2,7 @@
 
 A write is confirmed when the telemetry shows one more applied write; the `applied_tick` of that sample is then the
 exact tick of this write, so a twin can replay it. Urgent writes (enable, stop, clear) precede set-points. The arbiter
-puts set-points into a `SetPointQueue`, the dispatcher removes them. Pure; the link is a parameter.
+puts set-points into a `SetPointQueue`, the dispatcher removes them. The link is a parameter.
 """
 
 from __future__ import annotations

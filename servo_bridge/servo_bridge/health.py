@@ -1,4 +1,4 @@
-"""Statuses of /diagnostics: link, board, axes, commands, parameters, storage. Pure except for the messages."""
+"""Statuses of /diagnostics: link, board, axes, commands, parameters, storage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Homing of the axes, validity of the positions, and restoring them after a restart of the board. Pure."""
+"""Homing of the axes, validity of the positions, and restoring them after a restart of the board."""
 
 from __future__ import annotations
 

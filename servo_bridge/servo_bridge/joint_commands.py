@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.qos import command_qos
 
 from servo_bridge.command_context import CommandContext
-from servo_bridge.set_points import NotReady, Rejected, RepeatedSetPoints, from_joint_command, requests_of
+from servo_bridge.set_points import REPEAT_PAUSE, NotReady, Rejected, RepeatedSetPoints, from_joint_command, requests_of
 from servo_bridge.trajectory.streamer import Streamer, require_within
 from servo_msgs_py import topics
 
@@ -81,22 +81,21 @@ class JointCommands:
         if not points:
             raise Rejected(
                 f"{_SOURCE}: repeats a set-point from before the axes were enabled; it is accepted when it changes, or"
-                " after a pause of 1 s"
+                f" after a pause of {REPEAT_PAUSE:g} s"
             )
         streamed = {axis: point for axis, point in points.items() if point.streamed}
+        if not streamed:
+            context.arbiter.submit(*requests_of(_SOURCE, points))
+            return True
         limits, arrival = context.limits(), self._board_time(now_ns)
-        if streamed and (limits is None or arrival is None):
+        if limits is None or arrival is None:
             raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in 1 s")
         for axis, point in streamed.items():
-            assert limits is not None
             require_within(_SOURCE, context.joints[axis], point, limits[axis])
         context.arbiter.submit(*requests_of(_SOURCE, points))
-        if streamed:
-            assert limits is not None
-            assert arrival is not None
-            context.arbiter.admit(_SOURCE, streamed)
-            self._streamer.take(streamed, self._stamp(message, arrival), arrival, limits)
-            self._streamer.advance(arrival)
+        context.arbiter.admit(_SOURCE, streamed)
+        self._streamer.take(streamed, self._stamp(message, arrival), arrival, limits)
+        self._streamer.advance(arrival)
         return True
 
     def _board_time(self, now_ns: int) -> float | None:

@@ -1,4 +1,4 @@
-"""Keep-alives: without them and without commands the board stops its axes. Pure.
+"""Keep-alives: without them and without commands the board stops its axes.
 
 Sent by a timer of the executor, not by the link thread: if the executor hangs, keep-alives must stop so that the board
 stops the axes.

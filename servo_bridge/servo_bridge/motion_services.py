@@ -1,4 +1,4 @@
-"""The services enable, quick_stop and clear_faults. Pure; results are futures of success and message."""
+"""The services enable, quick_stop and clear_faults. Results are futures of success and message."""
 
 from __future__ import annotations
 

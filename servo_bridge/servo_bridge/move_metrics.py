@@ -1,4 +1,4 @@
-"""Figures of a move from recorded telemetry. Pure."""
+"""Figures of a move from recorded telemetry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results of services, and errors of futures. Pure."""
+"""Results of services, and errors of futures."""
 
 from __future__ import annotations
 

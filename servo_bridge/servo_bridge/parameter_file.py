@@ -1,4 +1,4 @@
-"""Board parameters in a TOML or JSON file, and their comparison with the board. Pure.
+"""Board parameters in a TOML or JSON file, and their comparison with the board.
 
 Flags and enumeration values are written as names, ``"ANTI_WINDUP+DEAD_TIME"``; numbers are accepted, too.
 """
@@ -6,21 +6,16 @@ Flags and enumeration values are written as names, ``"ANTI_WINDUP+DEAD_TIME"``; 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.toml import tomllib
 
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.tool_values import parse_values
 from servo_bridge.wire.session import BoardVariable
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 Entry = Number | str
 """A number or the name of a value."""

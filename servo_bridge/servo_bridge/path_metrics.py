@@ -1,4 +1,4 @@
-"""Figures of a followed path from recorded telemetry. Pure."""
+"""Figures of a followed path from recorded telemetry."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from servo_bridge.trajectory.path import Path
 
 Series = NDArray[np.float64]
 
-_STEPS: Final = 12  # of Newton's method; it converges from an error of up to a quarter of a period
+_STEPS: Final = 12  # of the Gauss-Newton method; it converges from an error of up to a quarter of a period
 _PERIOD: Final = PERIOD_NS * 1e-9
 
 

@@ -2,7 +2,7 @@
 
 Order: mode changes, then one write for all axes that move together, then timed points of axes that follow a path. A new
 set-point replaces a pending one. Velocity and effort set-points expire on the board if they are not renewed. All
-numbers are raw firmware integers. Pure.
+numbers are raw firmware integers.
 """
 
 from __future__ import annotations

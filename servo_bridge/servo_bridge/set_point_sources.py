@@ -1,4 +1,4 @@
-"""Sources of set-points: detection of two sources that command an axis alternately, and precedence of one topic. Pure.
+"""Sources of set-points: detection of two sources that command an axis alternately, and precedence of one topic.
 
 A source is a topic and a quantity, such as position on ``joint_commands``. rclpy does not report the publisher of a
 message, so all publishers of one topic and quantity are one source.

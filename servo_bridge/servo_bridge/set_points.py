@@ -1,7 +1,7 @@
 """Set-points of messages: parsing and checks that do not depend on the board.
 
 Checked here: names, array lengths, which array is used, finite numbers. Limits and states are checked by the arbiter.
-Pure: uses sequences, not ROS messages.
+Uses sequences, not ROS messages.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 
 class Rejected(ValueError):
@@ -132,21 +133,19 @@ def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[SetPoi
     return result
 
 
+REPEAT_PAUSE: Final = 1.0
+"""Pause after which a repeated set-point counts as a new one [s]."""
+
+
 class RepeatedSetPoints:
     """Refuses position set-points that repeat one sent before the axes were enabled.
 
     Some senders publish a position continuously, also before they have a target. Enabling must not move a shaft there:
     such a set-point is refused until it changes or the sender has paused. Velocity and effort set-points are not
     affected.
-
-    Parameters
-    ----------
-    pause : float
-        Pause that ends a repetition [s].
     """
 
-    def __init__(self, pause: float = 1.0) -> None:
-        self._pause = pause
+    def __init__(self) -> None:
         self._refused: dict[int, tuple[float, JointSetPoint]] = {}
 
     def refused(self, time: float, points: Mapping[int, JointSetPoint]) -> None:
@@ -158,7 +157,7 @@ class RepeatedSetPoints:
         result = {}
         for axis, point in points.items():
             before, refused = self._refused.get(axis, (time, None))
-            if point == refused and time - before < self._pause:
+            if point == refused and time - before < REPEAT_PAUSE:
                 self._refused[axis] = time, point
             else:
                 self._refused.pop(axis, None)

@@ -1,4 +1,4 @@
-"""Values of the board that are not in the telemetry: motor data, error counters, winding temperatures. Pure."""
+"""Values of the board that are not in the telemetry: motor data, error counters, winding temperatures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Log messages about new faults and expired set-points in a sample. Pure."""
+"""Log messages about new faults and expired set-points in a sample."""
 
 from __future__ import annotations
 

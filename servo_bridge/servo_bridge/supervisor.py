@@ -32,7 +32,6 @@ from std_srvs.srv import SetBool, Trigger
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_context import BoardContext
 from servo_bridge.board_link import BoardLink, LinkFactory
-from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
 from servo_bridge.command_context import CommandContext
@@ -48,6 +47,7 @@ from servo_bridge.joint_commands import JointCommands
 from servo_bridge.keep_alive import KeepAlive
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import Outcome, error_of
+from servo_bridge.parameter_sync import ParameterSync
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
 from servo_bridge.set_point_queue import CommandWrite
@@ -166,8 +166,8 @@ class Supervisor:
         self._ended = False
         self._slow = SlowValues(self._context, self._on_motors, self._on_windings)
         self._events = SnapshotEvents(catalogue, self._joints)
-        self._board_parameters = BoardParameters(self._context, self._link.write_raw, self._on_parameters)
-        self._board_parameters.request(settings.board_parameters)
+        self._parameter_sync = ParameterSync(self._context, self._link.write_raw, self._on_parameters)
+        self._parameter_sync.request(settings.board_parameters)
         self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
         self._fault_records = FaultRecords(self._context, self._on_fault_record)
         self._motion = MotionServices(self._context, self._joints, self._arbiter, self._dispatcher)
@@ -268,13 +268,13 @@ class Supervisor:
 
     def refuse_settings(self, settings: Settings) -> str:
         """Return a reason to refuse new settings; empty if they can be applied."""
-        problem = self._board_parameters.check(settings.board_parameters)
+        problem = self._parameter_sync.check(settings.board_parameters)
         return f"parameter board_parameters: {problem}" if problem else ""
 
     def settings_changed(self, settings: Settings) -> None:
         """Apply new settings."""
         if settings.board_parameters != self._settings.board_parameters:
-            self._board_parameters.request(settings.board_parameters)
+            self._parameter_sync.request(settings.board_parameters)
         self._settings = settings
         self._arbiter.joints = list(settings.joints)
         self._homing.joints, self._homing.positions = list(settings.joints), list(settings.home_positions)
@@ -310,7 +310,7 @@ class Supervisor:
         self._context.when_done(self._context.read("point_refusal"), log)
 
     def _path_limits(self) -> list[Limits] | None:
-        values = self._board_parameters.values
+        values = self._parameter_sync.values
         if values is None or not self._slow.motors:
             return None
         return path_limits(self._catalogue, values, self._settings.joints, self._slow.motors)
@@ -334,7 +334,7 @@ class Supervisor:
 
     def _pace_keep_alive(self) -> None:
         # Requested parameters may be effective on the board before they are read back.
-        known = applied(self._settings.board_parameters, {}), self._board_parameters.values or {}
+        known = applied(self._settings.board_parameters, {}), self._parameter_sync.values or {}
         period = round(self._keep_alive.period(*known) * 1e9)
         if period != self._keep_alive_timer.timer_period_ns:
             self._keep_alive_timer.timer_period_ns = period
@@ -357,7 +357,7 @@ class Supervisor:
             self._publications.flush()
             self._snapshot = None
             self._slow.link_lost()
-            self._board_parameters.link_lost()
+            self._parameter_sync.link_lost()
             self._variables.link_lost()
             self._arbiter.link_lost(status.reason)
             if self._action is not None:
@@ -384,7 +384,7 @@ class Supervisor:
         stamp = self._wall.stamp(self._board_clock.update(snapshot.tick, snapshot.response_ns))
         for text in self._events.faults(self._snapshot, snapshot):
             self._log.error(text)
-        for text in self._events.expired(self._snapshot, snapshot, self._board_parameters.values):
+        for text in self._events.expired(self._snapshot, snapshot, self._parameter_sync.values):
             self._warn(text)
         self._fault_records.on_snapshot(snapshot.tick, snapshot.faults)
         self._snapshot = snapshot
@@ -401,7 +401,7 @@ class Supervisor:
             )
         applied = self._dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
         self._motion.on_snapshot(snapshot)
-        parameters = self._board_parameters.values
+        parameters = self._parameter_sync.values
         self._homing.on_snapshot(snapshot, None if parameters is None else parameters["param.features"])
         self._publications.positions_known(self._homing.known)
         if applied is not None:
@@ -440,7 +440,7 @@ class Supervisor:
         if self._status.state is not LinkState.CONNECTED:
             return  # read after the reconnection
         self._slow.read_motors()
-        self._board_parameters.connected()
+        self._parameter_sync.connected()
 
     def _on_motors(self) -> None:
         constants = [motor.torque_constant for motor in self._slow.motors]
@@ -453,7 +453,7 @@ class Supervisor:
 
     def _current_limits(self) -> list[float | None]:
         """Current limits of the axes [A]; None until they have been read."""
-        values, name = self._board_parameters.values, "param.i_q_limit"
+        values, name = self._parameter_sync.values, "param.i_q_limit"
         if values is None:
             return [None] * AXES
         return [raw * self._catalogue[name].lsb for raw in values[name]]
@@ -504,7 +504,7 @@ class Supervisor:
                 inactive=self._arbiter.inactive,
             ),
             health.stream(self._streamer.report),
-            health.parameters(self._board_parameters.values, self._board_parameters.trouble),
+            health.parameters(self._parameter_sync.values, self._parameter_sync.trouble),
             health.storage(self._storage.storage),
         ]
         self._diagnostics.publish(diagnostic_array(self._node.get_clock().now().nanoseconds, statuses))

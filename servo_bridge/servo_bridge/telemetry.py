@@ -1,4 +1,4 @@
-"""Samples of the board for the bridge: 64-bit positions and the state of every axis. Pure."""
+"""Samples of the board for the bridge: 64-bit positions and the state of every axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits the rate of log messages about refused commands. Pure."""
+"""Limits the rate of log messages about refused commands."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    def add(name: str, run: tool_commands.Runner, text: str) -> argparse.ArgumentParser:
+    def add(name: str, run: tool_commands.CommandFunction, text: str) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=text, description=text, parents=[common])
         command.set_defaults(run=run)
         return command
@@ -213,7 +213,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.command == _PROJECT:  # the only command without a board
         args.file.write_text(desktop_project(Catalogue.load(), baud), encoding="utf-8")
         return 0
-    run: tool_commands.Runner = args.run
+    run: tool_commands.CommandFunction = args.run
     connected = False
     try:
         with SerialPort(port, baud) as serial_port:

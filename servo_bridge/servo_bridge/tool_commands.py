@@ -46,8 +46,8 @@ class Context:
     low_latency: LowLatency
 
 
-Runner = Callable[[Context], int]
-Selection = list[tuple[BoardVariable, "int | None"]]
+CommandFunction = Callable[[Context], int]
+Selection = list[tuple[BoardVariable, int | None]]
 
 
 def info(context: Context) -> int:

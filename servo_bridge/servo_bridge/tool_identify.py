@@ -19,6 +19,7 @@ from servo_msgs_py.measurement.estimation import estimates_of
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import UNITS, Limits
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.units import PERIOD_NS
 
@@ -26,11 +27,6 @@ from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.interruptible import interruptible_access
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import file_of, read_blocks
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context

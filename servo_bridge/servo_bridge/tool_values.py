@@ -1,4 +1,4 @@
-"""Text of numbers and names in `servo-tool`: output and parsing. Pure."""
+"""Text of numbers and names in `servo-tool`: output and parsing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of a path in joint units: the tighter of the limits of the board and of the joints. Pure."""
+"""Limits of a path in joint units: the tighter of the limits of the board and of the joints."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def test_arrays_may_have_values_of_some_joints() -> None:
 
 
 def test_set_points_repeated_from_before_enable_are_ignored() -> None:
-    repeats = RepeatedSetPoints(pause=1.0)
+    repeats = RepeatedSetPoints()
     zero, one = {0: JointSetPoint(0.0), 1: JointSetPoint(0.0, 0.0)}, {0: JointSetPoint(0.0), 1: JointSetPoint(1.0, 0.0)}
     assert repeats.without_repeats(0.0, zero) == zero
     repeats.refused(1.0, zero)
@@ -80,7 +80,7 @@ def test_set_points_repeated_from_before_enable_are_ignored() -> None:
 
 
 def test_constant_velocity_is_accepted_after_enable() -> None:
-    repeats = RepeatedSetPoints(pause=1.0)
+    repeats = RepeatedSetPoints()
     held = {0: JointSetPoint(velocity=50.0)}
     repeats.refused(1.0, held)
     assert repeats.without_repeats(1.1, held) == held

@@ -16,12 +16,12 @@ from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.tracker import Tracker
 from servo_bridge.trajectory.waypoints import Array
 
-LIMIT = 100.0
-LEAD = 0.02
+LIMIT = 100.0  # acceleration [rad/s^2]
+LEAD = 0.02  # [s]
 BEGIN = 1000.0
 """Local time at time 0 of the sender [s]."""
-TRANSIT = 0.003
-OMEGA = math.pi
+TRANSIT = 0.003  # shortest transit time of a message [s]
+OMEGA = math.pi  # of the sine [rad/s]
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""The configuration block of an axis (``axis_config.toml``): its members, and the block as integers and bytes. Pure.
+"""The configuration block of an axis (``axis_config.toml``): its members, and the block as integers and bytes.
 
 A block is a mapping from the C path of a member, such as ``current_loop.d.kp``, to its raw number. Board and host
 number the members in the order of the table and compute the checksum of a block as `checksum` does.
@@ -6,7 +6,6 @@ number the members in the order of the table and compute the checksum of a block
 
 from __future__ import annotations
 
-import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,12 +14,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.tuning.stops import REFUSED
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 _TYPES: Final[Mapping[str, tuple[int, bool]]] = {
     "int16": (2, True),

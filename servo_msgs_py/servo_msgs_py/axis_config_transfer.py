@@ -1,4 +1,4 @@
-"""Transfer of configuration blocks to and from a board, by any access to its variables. Pure.
+"""Transfer of configuration blocks to and from a board, by any access to its variables.
 
 A block is sent in parts through ``config.window``; the board checks each part. ``config.header`` with the checksum of
 the whole block marks it as complete, and ``config.take`` applies the complete blocks of one axis or both in one slow

@@ -1,4 +1,4 @@
-"""Parameters of a board: syntax ``NAME=VALUE``, and consistency. Pure.
+"""Parameters of a board: syntax ``NAME=VALUE``, and consistency.
 
 All computations use the raw integers of the firmware, so that a parameter that was read compares equal to one that was
 written.

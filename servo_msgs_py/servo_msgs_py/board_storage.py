@@ -1,4 +1,4 @@
-"""Storage of parameters and configuration in the data flash of a board, by any access to its variables. Pure.
+"""Storage of parameters and configuration in the data flash of a board, by any access to its variables.
 
 Each request has a token. The board executes repeated requests with the same token only once, so that a request can be
 repeated when its response was lost.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,12 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.units import frac_lsb, to_raw
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 AXES: Final = 2
 """Axes of one board."""
@@ -230,6 +225,9 @@ def numbers(value: Value) -> list[float]:
 def axis_name(axis: int) -> str:
     """Name of an axis in variable names: ``axis1`` for index 0."""
     return f"axis{axis + 1}"
+
+
+AXIS_NAMES: Final = tuple(axis_name(axis) for axis in range(AXES))
 
 
 @dataclass(frozen=True)

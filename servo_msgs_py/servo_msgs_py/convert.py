@@ -1,6 +1,6 @@
 """Conversion between variables of the firmware and ROS messages.
 
-Pure functions: they need the message classes, but no node and no rclpy. All values are SI except the raw integers of
+Needs the message classes, but no node and no rclpy. All values are SI except the raw integers of
 `AppliedCommand`, which are exact for bit-exact replay in a twin.
 """
 

@@ -1,4 +1,4 @@
-"""Record of the samples before the first fault of an axis, stored by the firmware (``axisN.fault_record``). Pure."""
+"""Record of the samples before the first fault of an axis, stored by the firmware (``axisN.fault_record``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joints and their motors: gear ratio, direction, offset, limits. Pure.
+"""Joints and their motors: gear ratio, direction, offset, limits.
 
 All joint quantities on ROS are in joint units; the variables of the board are in motor units.
 """

@@ -1,4 +1,4 @@
-"""Robot description (URDF) of the joints of a servo: generation and parsing. Pure.
+"""Robot description (URDF) of the joints of a servo: generation and parsing.
 
 The description contains the data for robot_state_publisher and MoveIt, and a ``ros2_control`` tag for hardware that
 communicates over the topics of the bridge. Its transmissions contain gear ratio, direction and offset; twin, viewer and

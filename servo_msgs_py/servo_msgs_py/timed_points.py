@@ -1,4 +1,4 @@
-"""Timed points of a trajectory as the words of ``cmd.points`` (``firmware/app/points.c``). Pure."""
+"""Timed points of a trajectory as the words of ``cmd.points`` (``firmware/app/points.c``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text format of the values of variables: numbers, names of values, flags joined by ``+``. Pure."""
+"""Text format of the values of variables: numbers, names of values, flags joined by ``+``."""
 
 from __future__ import annotations
 

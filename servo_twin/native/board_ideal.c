@@ -84,7 +84,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .brake_holds = drive->pins.holds ? 1.0 : 0.0,
         .u_dc = board->chip.plant.bus.u,
         .e_brake = board->chip.plant.bus.e_brake,
-        .t_brake = board->chip.plant.bus.brake.t,
+        .t_brake = board->chip.plant.bus.brake_resistor.t,
         .theta_load = drive->shaft.two_masses ? drive->shaft.theta : drive->motor.theta,
         .omega_load = drive->shaft.two_masses ? drive->shaft.omega : drive->motor.omega,
         .torque_shaft = drive->shaft.two_masses ? drive->shaft.torque : 0.0,

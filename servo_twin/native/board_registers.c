@@ -51,7 +51,7 @@ static const chip_wiring_t wiring = {
 static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)},
                                                     {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
 static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
-static const unsigned brake_pin = CHIP_PIN('G', 6);
+static const unsigned brake_resistor_pin = CHIP_PIN('G', 6);
 #define CONTACTS 4 /* by board_pin_t; all to ground, pulled up */
 static const unsigned contact_pin[BOARD_AXES][CONTACTS] = {
     {CHIP_PIN('F', 0), CHIP_PIN('F', 1), CHIP_PIN('F', 2), CHIP_PIN('E', 9)},
@@ -192,10 +192,10 @@ static void outputs_changed(void *self)
 {
     board_t *board = (board_t *)self;
     chip_plant_changed(&board->chip);
-    const bool on = chip_pin_level(&board->chip, brake_pin);
+    const bool on = chip_pin_level(&board->chip, brake_resistor_pin);
     if (on != board->plant.supply.braking) {
         switching_advance(&board->plant, board->chip.core.bus.now); /* from where the chip advanced it last */
-        switching_brake(&board->plant, on);
+        switching_brake_resistor(&board->plant, on);
     }
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         plant_pins_power(&board->pins[axis], chip_pin_level(&board->chip, holding_pin[axis]), seconds_of(board));

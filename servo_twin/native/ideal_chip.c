@@ -47,7 +47,7 @@ static void follow_enable(hal_t *chip, int i)
 {
     const chip_axis_t *axis = &chip->axis[i];
     const bool released = !axis->enable_used || !axis->enable_open;
-    chip->plant.axis[i].inverter.on = axis->enabled && !axis->broken && released;
+    chip->plant.axis[i].inverter.on = axis->enabled && !axis->tripped && released;
 }
 
 static double seconds(const hal_t *chip) { return 1e-9 * (double)chip->now_ns; }
@@ -76,10 +76,10 @@ void chip_cut_wire(hal_t *chip, int axis, int pin, bool cut)
 static bool check_current(hal_t *chip, int i)
 {
     chip_axis_t *axis = &chip->axis[i];
-    if (axis->broken || !plant_over_current(&chip->plant, i)) {
+    if (axis->tripped || !plant_over_current(&chip->plant, i)) {
         return false;
     }
-    axis->broken = true;
+    axis->tripped = true;
     chip->breaks++;
     follow_enable(chip, i);
     return true;
@@ -106,9 +106,9 @@ static void watch_dog(hal_t *chip)
         return;
     }
     for (int i = 0; i < HAL_AXES; i++) {
-        const bool broken = chip->axis[i].broken;
+        const bool tripped = chip->axis[i].tripped;
         chip->axis[i] = at_reset;
-        chip->axis[i].broken = broken;
+        chip->axis[i].tripped = tripped;
         plant_pins_power(&chip->plant.axis[i].pins, false, seconds(chip));
         plant_encoder_restart(&chip->plant.axis[i].encoder);
         follow_enable(chip, i);
@@ -187,7 +187,7 @@ static void grid(hal_t *chip)
     chip->sampled = 1 - sampled;
     chip->grid_ns += plant->step_ns;
     for (int i = 0; i < HAL_AXES; i++) {
-        if (plant->axis[i].encoder.latched && awake(chip)) {
+        if (plant->axis[i].encoder.captured && awake(chip)) {
             servo_edge_isr(chip->servo, (uint16_t)i);
         }
     }
@@ -251,11 +251,11 @@ void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
     follow_enable(hal, axis);
 }
 
-bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].broken; }
+bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].tripped; }
 
 void hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
-    hal->axis[axis].broken = false;
+    hal->axis[axis].tripped = false;
     if (!check_current(hal, axis)) {
         follow_enable(hal, axis);
     }
@@ -281,7 +281,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return plant_sink_code(&hal->plant, axis); }
 
-void hal_brake(hal_t *hal, bool on) { supply_switch(&hal->plant.bus, on); }
+void hal_brake_resistor(hal_t *hal, bool on) { supply_switch(&hal->plant.bus, on); }
 
 uint16_t hal_inputs(hal_t *hal, uint16_t axis)
 {

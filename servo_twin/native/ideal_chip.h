@@ -23,7 +23,7 @@ typedef struct {
     double duty[3]; /* last written duties [1] */
     bool written; /* the duties are not loaded yet */
     bool enabled; /* outputs on */
-    bool broken; /* over-current latch */
+    bool tripped; /* over-current latch */
     bool enable_used; /* the enable input is fitted */
     bool enable_open; /* latch of the enable input */
     phase_pair_t pair;

@@ -27,7 +27,7 @@ from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
 from servo_twin.level import Level, chosen_level
-from servo_twin.plant import BUILT_IN, PlantConfig, PlantError
+from servo_twin.plant import FIXED_NAMES, PlantConfig, PlantError
 
 try:
     import servo_twin._native as _ideal_module
@@ -543,14 +543,14 @@ class Board:
         Raises
         ------
         PlantError
-            If the name is unknown or in `servo_twin.plant.BUILT_IN`, or the value is invalid.
+            If the name is unknown or in `servo_twin.plant.FIXED_NAMES`, or the value is invalid.
         """
-        if name.rpartition(".")[2] in BUILT_IN:
+        if name.rpartition(".")[2] in FIXED_NAMES:
             raise PlantError(f"{name}: cannot be changed on a running board; create a new board")
         self.take_plant(self.plant.with_value(name, value))
 
     def take_plant(self, plant: PlantConfig) -> None:
-        """As `set_plant`, with all values at once; the values of `servo_twin.plant.BUILT_IN` must not change."""
+        """As `set_plant`, with all values at once; the values of `servo_twin.plant.FIXED_NAMES` must not change."""
         self.plant = plant
         self._change_plant()
 

@@ -201,7 +201,7 @@ class ServoTwin(Node):
         except ValueError as error:
             self._log.warning(f"{self._board_namespace}/{topics.SNAPSHOT}: {error}", throttle_duration_sec=10.0)
             return
-        self._worker.samples(columns, table)
+        self._worker.add_samples(columns, table)
 
     def _on_applied(self, message: Float64MultiArray) -> None:
         try:
@@ -209,7 +209,7 @@ class ServoTwin(Node):
         except ValueError as error:
             self._log.warning(str(error), throttle_duration_sec=10.0)
             return
-        self._worker.command(command)
+        self._worker.add_command(command)
 
     def _on_parameters(self, message: Float64MultiArray) -> None:
         try:
@@ -221,7 +221,7 @@ class ServoTwin(Node):
             return
         with self._lock:
             self._parameter_error = ""
-        self._worker.parameters(values)
+        self._worker.set_parameters(values)
 
     def _on_windings(self, message: Float64MultiArray) -> None:
         span = self._catalogue[f"{axis_name(0)}.winding_temperature"]
@@ -231,7 +231,7 @@ class ServoTwin(Node):
                 f"{self._board_namespace}/{topics.WINDING_TEMPERATURES}: {values} are not {AXES} valid temperatures"
             )
             return
-        self._worker.windings(values)
+        self._worker.set_windings(values)
 
     def _on_recorder(self, message: Float64MultiArray) -> None:
         try:
@@ -239,7 +239,7 @@ class ServoTwin(Node):
         except ValueError as error:
             self._log.warning(f"{self._board_namespace}/{topics.RECORDER}: {error}")
             return
-        self._worker.recorder(setup)
+        self._worker.set_recorder(setup)
 
     def _on_recording(self, message: Float64MultiArray) -> None:
         try:
@@ -249,7 +249,7 @@ class ServoTwin(Node):
         except ValueError as error:
             self._log.warning(f"{self._board_namespace}/{topics.RECORDING}: {error}")
             return
-        self._worker.burst(message.layout.dim[0].label, columns, table)
+        self._worker.add_burst(message.layout.dim[0].label, columns, table)
 
     def _on_tuning(self, message: String) -> None:
         with self._lock:
@@ -262,7 +262,7 @@ class ServoTwin(Node):
         except ConfigError as error:
             self._log.warning(f"invalid configuration of the board: {error}")
             return
-        self._worker.blocks(blocks)
+        self._worker.set_blocks(blocks)
 
     def _on_description(self, message: String) -> None:
         try:

@@ -6,17 +6,14 @@ import dataclasses
 import difflib
 import math
 import random
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar, cast, get_type_hints
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from servo_msgs_py.catalogue import AXIS_NAMES
+from servo_msgs_py.toml import tomllib
 
 STOP_STIFFNESS_MAX: Final = 0.06
 """Largest stiffness of an end stop, relative to inertia times PWM frequency squared: the oscillation takes 25 periods,
@@ -29,9 +26,6 @@ DAMPING_MAX: Final = 5e4
 """Largest damping rate of the twist of a shaft [1/s]: its torque is calculated every 6 to 8 us."""
 
 DEFAULT_FILE: Final = Path(__file__).with_name("plant.toml")
-
-
-AXIS_NAMES: Final = ("axis1", "axis2")
 
 
 class PlantError(ValueError):
@@ -175,7 +169,7 @@ class AxisPlant:
             object.__setattr__(self, "pins", _part(PinsPlant, "pins", {"pins": pins}))
         _check_fields(self)
         if self.stop_min > self.stop_max:
-            raise PlantError(f"stop_min: {self.stop_min!r} is not below stop_max = {self.stop_max!r}")
+            raise PlantError(f"stop_min: {self.stop_min!r} is above stop_max = {self.stop_max!r}")
         if self.load_inertia > 0.0 and self.shaft_stiffness == 0.0:
             raise PlantError("shaft_stiffness: must be above 0 with a second mass (load_inertia)")
         if self.resonance > RESONANCE_MAX:
@@ -339,7 +333,9 @@ class PlantConfig:
         return dataclasses.replace(self, bus=dataclasses.replace(self.bus, **changes))
 
 
-BUILT_IN: Final = frozenset(name for part in (AxisPlant, PlantConfig) for name, mark in _marks(part) if mark == _FIXED)
+FIXED_NAMES: Final = frozenset(
+    name for part in (AxisPlant, PlantConfig) for name, mark in _marks(part) if mark == _FIXED
+)
 """Names of the values marked `Fixed`."""
 
 

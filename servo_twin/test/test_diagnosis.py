@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.diagnosis.board_pair import BoardPair, Motion
-from servo_twin.diagnosis.change_detector import ChangeDetector, Finding, Kind
+from servo_twin.diagnosis.change_detector import ChangeDetector, Estimate, Finding, Kind
 from servo_twin.diagnosis.likelihood_ratio import Unknowns
 from servo_twin.diagnosis.monitor import PLANT_VALUES, TRANSIENT_BLOCKS, DiagnosisMonitor
-from servo_twin.diagnosis.report import NOTHING_CHANGED, finding_text, findings_text
+from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, finding_text, findings_text
 from servo_twin.diagnosis.signal_monitor import MONITORED, SignalMonitor
 from servo_twin.diagnosis.signals import CHANGES, NEEDED, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds, ThresholdsError
@@ -105,7 +105,7 @@ def test_the_twin_adopts_all_of_several_changes() -> None:
 def test_a_slipped_encoder_is_reported_as_encoder_angle() -> None:
     (found,) = watched(slip=SlippedEncoder(1, 100)).findings()
     assert (found.axis, found.finding.changes) == (1, ("encoder_angle",))
-    assert abs(found.finding.value) == pytest.approx(np.deg2rad(18.0), rel=0.1)
+    assert abs(found.finding.value) == pytest.approx(np.sin(np.deg2rad(18.0)), rel=0.1)
 
 
 def rows(samples: Sequence[tuple[float, NDArray[np.float64]]]) -> Rows:
@@ -387,6 +387,16 @@ def test_the_text_of_a_finding_has_its_value_and_times() -> None:
     load = Finding(Kind.SINGLE, ("load",), 1e-3, 0.9e-3, 1.1e-3, 0, 16000)
     assert finding_text(load, 0, 0).startswith("load +1.0 mN m (+0.9..+1.1) since ")
     assert findings_text([], ["axis1", "axis2"], 0, 0) == NOTHING_CHANGED
+
+
+def test_the_encoder_angle_is_reported_as_an_angle() -> None:
+    """The unknown of the equations is its sine."""
+    value, low, high = (float(np.sin(np.deg2rad(angle))) for angle in (60.0, 55.0, 65.0))
+    text = finding_text(Finding(Kind.SINGLE, ("encoder_angle",), value, low, high, 0, 16000), 0, 0)
+    assert text.startswith("encoder angle +60 deg electrical (+55..+65) since ")
+    numbers = estimate_numbers(Estimate("encoder_angle", float(np.sin(np.deg2rad(80.0))), 0.1))
+    assert numbers["value"] == pytest.approx(np.deg2rad(80.0))
+    assert numbers["high"] == pytest.approx(np.pi / 2.0), "a sine above 1 is limited"
 
 
 def test_the_command_prints_detections_and_errors(capsys: pytest.CaptureFixture[str]) -> None:

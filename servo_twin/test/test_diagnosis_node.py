@@ -113,6 +113,6 @@ def test_missing_voltages_of_the_telemetry_are_reported() -> None:
     with DiagnosisRig() as rig:
         keep = [k for k, name in enumerate(COLUMNS) if not name.endswith((".u_d", ".u_q"))]
         rig._rows.clear()
-        samples = rig.samples
-        rig.samples = lambda columns, table: samples([columns[k] for k in keep], table[:, keep])  # type: ignore[method-assign]
+        samples = rig.add_samples
+        rig.add_samples = lambda columns, table: samples([columns[k] for k in keep], table[:, keep])  # type: ignore[method-assign]
         assert rig.moves(rig.found("axis1", "no diagnosis: the telemetry has no axis1.u_d, axis1.u_q"))

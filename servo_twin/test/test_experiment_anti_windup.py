@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from servo_twin.experiments import anti_windup
-from servo_twin.experiments.rig import TICK, Recording
+from servo_twin.experiments.rig import TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 
@@ -18,7 +18,7 @@ def test_agrees_with_the_reference_design() -> None:
 def test_missing_anti_windup_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> None:
     genuine = anti_windup.respond
 
-    def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
+    def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> AxisTrace:
         return genuine(plant, seed, frequency, swapped)
 
     monkeypatch.setattr(anti_windup, "respond", respond)

@@ -25,7 +25,7 @@ def test_agrees_with_other_motors_and_a_tenth_of_the_capacitor() -> None:
 
 def test_missing_current_reduction_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit of the bus voltage is set below the start of the fold-back."""
-    monkeypatch.setattr(braking, "OVER_VOLTAGE", 28.0)
+    monkeypatch.setattr(braking, "over_voltage", lambda: 28.0)
     assert "no resistor: highest bus voltage" in wrong(PlantConfig.load())
 
 

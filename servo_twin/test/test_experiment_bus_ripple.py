@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from servo_twin.experiments import bus_ripple
-from servo_twin.experiments.rig import TICK, Recording
+from servo_twin.experiments.rig import TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 
@@ -17,7 +17,7 @@ def test_every_figure_is_within_its_bound() -> None:
 def test_missing_compensation_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = bus_ripple.turn
 
-    def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recording:
+    def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> AxisTrace:
         return genuine(plant, seed, axis, False)
 
     monkeypatch.setattr(bus_ripple, "turn", turn)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import random
-import sys
 from pathlib import Path
 
 import pytest
+from servo_msgs_py.toml import tomllib
 from servo_twin.experiments.campaign_faults import (
     INJECTED_FAULTS,
     NO_FAULT,
@@ -25,11 +25,6 @@ from servo_twin.fault_injection import OpenPhase
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PLANT = PlantConfig.load()
 

@@ -53,11 +53,11 @@ def test_figures_of_a_shaft_at_rest() -> None:
     with spinning(PlantConfig.load(), 4) as board:
         recording = record(board, [0], 0.1)[0]
     here = round(recording.position[0])
-    shaft = PlantConfig.load().axes[0]
-    there = feed_forward.measure(recording, here, shaft)
+    plant = PlantConfig.load()
+    there = feed_forward.measure(recording, here, plant, 0)
     assert (there.overshoot, there.settling) == (0.0, 0.0)
     assert there.error <= 0.5
-    away = feed_forward.measure(recording, here + 1000, shaft)
+    away = feed_forward.measure(recording, here + 1000, plant, 0)
     assert (away.overshoot, away.settling) == (0.0, None)
 
 

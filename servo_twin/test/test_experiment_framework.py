@@ -102,13 +102,14 @@ class TestLevels:
         assert pair.agrees is agrees
         assert pair.difference == (None if registers is None else pytest.approx(registers - ideal))
 
-    @pytest.mark.parametrize(("ideal", "registers", "part"), [(0.5, 0.5, 0.0), (0.5, 0.75, 0.25), (0.5, None, None)])
-    def test_difference_relative_to_tolerance(self, ideal: float, registers: float | None, part: float | None) -> None:
-        assert levels.pairs(outcome("a", ideal), outcome("a", registers))[0].part == part
+    @pytest.mark.parametrize(("ideal", "registers", "part"), [(0.5, 0.5, 0.0), (0.5, 0.75, 0.25), (0.5, None, 0.0)])
+    def test_difference_relative_to_tolerance(self, ideal: float, registers: float | None, part: float) -> None:
+        pair = levels.pairs(outcome("a", ideal), outcome("a", registers))[0]
+        assert levels.relative_difference(pair.as_dict()) == part
 
     def test_exact_figures_that_differ(self) -> None:
         exact = [Outcome("a", (Row("x", REFERENCE, value, "", Bound(1.0, 1.0)),), ()) for value in (1.0, 0.9)]
-        assert levels.pairs(*exact)[0].part == math.inf
+        assert levels.relative_difference(levels.pairs(*exact)[0].as_dict()) == math.inf
 
     def test_figure_with_own_tolerance(self) -> None:
         rows = [
@@ -120,9 +121,25 @@ class TestLevels:
         assert pair.agrees
 
     def test_overview_has_the_figure_with_the_largest_difference(self) -> None:
-        pairs = levels.pairs(outcome("a", 0.5, 0.1), outcome("a", 0.6, 0.9))
-        line = levels.overview(pairs).splitlines()[1].split("  ")
-        assert [cell.strip() for cell in line if cell] == ["a", "2", "2", "0.8 rpm", "0.80", "figure 1"]
+        pairs = levels.pairs(outcome("a", 0.5, 0.1), outcome("a", 0.6, 0.9)) + levels.pairs(
+            outcome("b", 1), outcome("b", 1)
+        )
+        assert levels.overview([pair.as_dict() for pair in pairs]).splitlines()[2:] == [
+            "| `a` | 2 | 2 | figure 1 | 0.1 rpm | 0.9 rpm | <= 1 |",
+            "| `b` | 1 | 1 | none differs |  |  |  |",
+            "| all | 3 | 3 | | | | |",
+        ]
+
+    def test_documented_overview_adds_up(self) -> None:
+        """The table in levels.md is that of ``servo-sim experiment levels``, with every experiment."""
+        document = (Path(__file__).parents[1] / "doc" / "levels.md").read_text(encoding="utf-8")
+        rows = [
+            [cell.strip(" `") for cell in row.split("|")[1:4]] for row in document.splitlines() if row.startswith("| ")
+        ]
+        head, *entries, total = rows
+        assert head == ["experiment", "figures", "agree"]
+        assert [name for name, *_ in entries] == list(EXPERIMENTS)
+        assert total == ["all", *(str(sum(int(row[k]) for row in entries)) for k in (1, 2))]
 
 
 @pytest.mark.parametrize("words", [[], ["all"], ["levels"], *([name] for name in EXPERIMENTS)])

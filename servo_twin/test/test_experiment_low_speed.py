@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 from servo_twin.experiments import low_speed
-from servo_twin.experiments.rig import Recording
+from servo_twin.experiments.rig import AxisTrace
 from servo_twin.plant import PlantConfig
 
 
@@ -14,7 +14,7 @@ def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
     """The experiment at 5 rpm; `swapped`: the names of the two methods are exchanged."""
     genuine = low_speed.hold_speed
 
-    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> AxisTrace:
         return genuine(plant, seed, axis, speed, enhanced != swapped)
 
     monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
@@ -37,7 +37,7 @@ def test_plain_is_not_better_than_enhanced(monkeypatch: pytest.MonkeyPatch) -> N
 def test_wrong_mean_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = low_speed.hold_speed
 
-    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> AxisTrace:
         right = genuine(plant, seed, axis, speed, enhanced)
         return dataclasses.replace(right, omega=1.02 * right.omega)
 

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from servo_twin.experiments import mt_speed
-from servo_twin.experiments.rig import COUNT, RPM, Recording
+from servo_twin.experiments.rig import COUNT, RPM, AxisTrace
 from servo_twin.plant import PlantConfig
 
 
@@ -50,7 +50,7 @@ def test_plain_method_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, plant
 
     def drive(
         plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool
-    ) -> Recording:
+    ) -> AxisTrace:
         return genuine(plant, seed, speed_at, seconds, enhanced=False)
 
     monkeypatch.setattr(mt_speed, "drive", drive)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.experiments import path_filter
-from servo_twin.experiments.rig import TICK, Recording
+from servo_twin.experiments.rig import TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 ABLE = 1e9
 
 
 @pytest.fixture(scope="module")
-def recorded() -> tuple[Recording, float, int]:
+def recorded() -> tuple[AxisTrace, float, int]:
     return path_filter.record(PlantConfig.load(), 6, 314.0)
 
 
@@ -24,19 +24,19 @@ def test_agrees_with_the_reference_design() -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def wrong(recorded: tuple[Recording, float, int], path: NDArray[np.float64]) -> set[str]:
+def wrong(recorded: tuple[AxisTrace, float, int], path: NDArray[np.float64]) -> set[str]:
     recording, speed, distance = recorded
     rows = path_filter.figures(dataclasses.replace(recording, position_ref=path), speed, distance, ABLE)
     return {row.name for row in rows if not row.agrees}
 
 
-def test_ramp_is_not_an_s_curve(recorded: tuple[Recording, float, int]) -> None:
+def test_ramp_is_not_an_s_curve(recorded: tuple[AxisTrace, float, int]) -> None:
     recording, speed, distance = recorded
     ramp: NDArray[np.float64] = np.minimum(speed * recording.time, distance)
     assert "largest jump of the S curve's speed per slow loop" in wrong(recorded, np.round(ramp))
 
 
-def test_low_damping_violates_the_bounds(recorded: tuple[Recording, float, int]) -> None:
+def test_low_damping_violates_the_bounds(recorded: tuple[AxisTrace, float, int]) -> None:
     recording, speed, distance = recorded
     swing = 0.02 * distance * np.sin(np.pi * np.clip((recording.time - distance / speed) / 0.4, 0.0, 1.0))
     names = wrong(recorded, np.round(recording.position_ref + swing))

@@ -15,7 +15,7 @@ from servo_twin.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, record, spinning
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace, choose_mode, command_speed, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -73,7 +73,7 @@ def test_the_nominal_shaft_is_not_measurable_with_a_low_current_limit(
 
 def test_path_needs_half_of_the_current(plant: PlantConfig) -> None:
     for entry, demand in zip(plant.axes, path_demands(plant, 3), strict=True):
-        needed = entry.inertia * demand.acceleration * SPEED / entry.torque_constant
+        needed = entry.inertia * demand.acceleration_per_speed * SPEED / entry.torque_constant
         # Less by the time in which the ramp reaches its speed with the largest param.acceleration_limit.
         assert needed == pytest.approx(0.5 * demand.current, rel=0.04)
 
@@ -94,8 +94,8 @@ class TestTopSpeed:
         speed = top_speed(small, [0, 1], SPEED)
         energy = 0.5 * (plant.axes[0].inertia + plant.axes[1].inertia) * speed**2
         lifted = math.sqrt(small.bus.u_source**2 + 2.0 * energy / small.bus.capacitance)
-        assert lifted < plant_limits.OVER_VOLTAGE
-        assert lifted > plant_limits.OVER_VOLTAGE - 1.0
+        assert lifted < plant_limits.over_voltage()
+        assert lifted > plant_limits.over_voltage() - 1.0
         assert top_speed(small, [0], SPEED) > speed
 
     def test_a_low_supply_lowers_the_top_speed(self, plant: PlantConfig) -> None:
@@ -103,7 +103,7 @@ class TestTopSpeed:
         speed = top_speed(low, [0], SPEED)
         emf = plant.axes[0].pole_pairs * plant.axes[0].psi_m * speed
         assert speed < SPEED
-        assert 0.8 * plant_limits.MODULATION * 18.0 < emf < plant_limits.MODULATION * 18.0
+        assert 0.8 * plant_limits.modulation() * 18.0 < emf < plant_limits.modulation() * 18.0
 
     def test_unreachable_demand_is_refused(self, plant: PlantConfig) -> None:
         with pytest.raises(SimulationError, match="not feasible with this plant"):
@@ -150,7 +150,7 @@ def test_true_position_tolerates_uneven_edges(beyond: float) -> None:
     position = np.floor(theta / COUNT) + 100.0
     position[0] += np.sign(beyond)
     silent, words = np.zeros(ticks.size), np.zeros(ticks.size, dtype=np.int64)
-    recording = Recording(
+    recording = AxisTrace(
         time=silent, position=position, position_ref=silent, speed_ref=silent, speed=silent, i_q_ref=silent, i_q=silent,
         i_d=silent, u_d=silent, u_q=silent,
         limits=words, faults=words, state=words, substate=words,

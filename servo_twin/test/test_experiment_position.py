@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.experiments import position
-from servo_twin.experiments.rig import TICK, Recording, record, spinning
+from servo_twin.experiments.rig import TICK, AxisTrace, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
 TARGET = 100
-SHAFT = PlantConfig.load().axes[0]
+PLANT = PlantConfig.load()
 
 
 @pytest.fixture(scope="module")
-def still() -> Recording:
+def still() -> AxisTrace:
     """Two seconds of a shaft at rest."""
     with spinning(PlantConfig.load(), 1) as board:
         return record(board, [0], 2.0)[0]
 
 
-def moved(still: Recording, shape: NDArray[np.float64]) -> Recording:
+def moved(still: AxisTrace, shape: NDArray[np.float64]) -> AxisTrace:
     return dataclasses.replace(still, position=shape.astype(np.float64))
 
 
@@ -34,28 +34,28 @@ def test_short_moves_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def test_figures_of_a_known_shape(still: Recording) -> None:
+def test_figures_of_a_known_shape(still: AxisTrace) -> None:
     shape = np.full(still.time.size, TARGET)
     shape[:1000] = np.linspace(0, TARGET - 10, 1000)
     shape[1200] = TARGET + 7
     shape[-10] = TARGET - 1
-    move = position.measure(moved(still, shape), TARGET, ramp_end=0.5, shaft=SHAFT)
+    move = position.measure(moved(still, shape), TARGET, 0.5, PLANT, 0)
     assert (move.overshoot, move.cycle) == (7.0, 1.0)
     assert move.error == pytest.approx(1.0 / 1000.0)
     assert move.settling == pytest.approx(1201 * TICK - 0.5)
-    back = position.measure(moved(still, -shape), -TARGET, ramp_end=0.5, shaft=SHAFT)
+    back = position.measure(moved(still, -shape), -TARGET, 0.5, PLANT, 0)
     assert (back.overshoot, back.cycle) == (7.0, 1.0)
 
 
-def test_limit_cycle_is_detected(still: Recording) -> None:
+def test_limit_cycle_is_detected(still: AxisTrace) -> None:
     shape = TARGET + 2 * np.sign(np.sin(2.0 * np.pi * 10.0 * still.time))
     shape[0] = 0
-    move = position.measure(moved(still, shape), TARGET, 0.0, SHAFT)
+    move = position.measure(moved(still, shape), TARGET, 0.0, PLANT, 0)
     assert move.cycle > position.COUNTS_MAX
 
 
-def test_a_shaft_that_does_not_arrive_never_settles(still: Recording) -> None:
-    move = position.measure(moved(still, np.zeros(still.time.size)), TARGET, 0.0, SHAFT)
+def test_a_shaft_that_does_not_arrive_never_settles(still: AxisTrace) -> None:
+    move = position.measure(moved(still, np.zeros(still.time.size)), TARGET, 0.0, PLANT, 0)
     assert move.settling is None
     assert move.error == TARGET
 

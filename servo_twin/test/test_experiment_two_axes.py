@@ -30,7 +30,7 @@ def test_braking_speed_is_lower_with_a_softer_bus() -> None:
 def test_too_much_braking_energy_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit is below the bus voltage that the kinetic energy of both shafts produces."""
     monkeypatch.setattr(two_axes, "top_speed", lambda plant, axes, wanted: wanted)
-    monkeypatch.setattr(two_axes, "OVER_VOLTAGE", 28.0)
+    monkeypatch.setattr(two_axes, "over_voltage", lambda: 28.0)
     assert "both brake: highest bus voltage" in wrong(PlantConfig.load().with_bus(capacitance=2e-3))
 
 

@@ -130,19 +130,19 @@ class TestCapture:
         encoder.move_to(1.5)
         plant_c.lib.plant_encoder_arm(encoder.c)
         encoder.move_to(9.5, duration_ns=80_000)
-        # from 1.5 at one edge per 10 us: B edge 2 comes after 5 us, later ones are not latched
+        # from 1.5 at one edge per 10 us: B edge 2 comes after 5 us, later ones are not captured
         assert encoder.take() == (2, (10_000 + 5_000) // TICK_NS)
         assert encoder.take() is None
         encoder.move_to(20.5)
         assert encoder.take() is None
 
-    def test_a_edges_are_not_latched(self, plant_c: Native) -> None:
+    def test_a_edges_are_not_captured(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
         plant_c.lib.plant_encoder_arm(encoder.c)
         encoder.move_to(1.5)
-        assert not encoder.c.latched
+        assert not encoder.c.captured
         encoder.move_to(2.5)
-        assert encoder.c.latched
+        assert encoder.c.captured
 
     def test_arming_again_discards_a_pending_capture(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
@@ -204,7 +204,7 @@ def test_time_of_an_edge_after_the_shaft_has_turned_back(plant_c: Native) -> Non
 
 
 class TestAge:
-    def test_restarts_at_latched_edges_only(self, plant_c: Native) -> None:
+    def test_restarts_at_captured_edges_only(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
         encoder.now_ns = 10 * TICK_NS
         assert encoder.age() == 10
@@ -216,7 +216,7 @@ class TestAge:
         plant_c.lib.plant_encoder_arm(encoder.c)
         assert encoder.age() == 105
 
-    def test_overflow_stays_until_the_next_latched_edge(self, plant_c: Native) -> None:
+    def test_overflow_stays_until_the_next_captured_edge(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
         encoder.now_ns = 0xFFFF * TICK_NS
         assert encoder.age() == 0xFFFF
@@ -235,7 +235,7 @@ def test_unplugged_encoder_loses_the_motion(plant_c: Native) -> None:
     plant_c.lib.plant_encoder_connect(encoder.c, False, encoder.at * EDGE)
     encoder.move_to(50.5)
     assert encoder.count == 10
-    assert not encoder.c.latched
+    assert not encoder.c.captured
     plant_c.lib.plant_encoder_connect(encoder.c, True, encoder.at * EDGE)
     encoder.move_to(53.5)
     assert encoder.count == 13

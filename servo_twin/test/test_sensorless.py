@@ -90,7 +90,7 @@ def running() -> Iterator[Board]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_start_up_time_agrees_with_the_slide(seed: int) -> None:
-    """ST slide "起动实例": the criterion is met within 500 ms. Both axes start at once in different directions."""
+    """ST slide "Example of a start-up": criterion met in 500 ms. Both axes start at once, in opposite directions."""
     with sensorless((100.0, -200.0), seed=seed) as board:
         assert until(board, SPIN, 0.5) < 0.35
         assert until(board, SPIN, 0.5, axis=1) < 0.35

@@ -54,7 +54,7 @@ def test_state_stays_valid_with_random_gates(switching_c: Native, seed: int) -> 
         lambda axis: lib.switching_lock(c, axis, rnd.random() < 0.5),
         lambda axis: lib.switching_obstruct(c, axis, rnd.uniform(0.0, 0.01), rnd.choice([0.0, 0.005, math.inf])),
         lambda axis: lib.switching_plug(c, axis, rnd.random() < 0.8),
-        lambda axis: lib.switching_brake(c, rnd.random() < 0.5),
+        lambda axis: lib.switching_brake_resistor(c, rnd.random() < 0.5),
         lambda axis: lib.switching_set_supply(c, rnd.uniform(0.0, 60.0)),
         lambda axis: lib.switching_cut(c, axis, rnd.randrange(2), rnd.random() < 0.5, False),
         lambda axis: lib.switching_current_code(c, axis, rnd.randrange(3)),

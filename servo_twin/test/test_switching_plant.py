@@ -103,13 +103,13 @@ class TestEnergy:
         plant = PlantConfig.load().with_bus(r_brake=4.7)
         switching = Switching(switching_c, plant)
         switching.charge(30.0)
-        switching.lib.switching_brake(switching.c, True)
+        switching.lib.switching_brake_resistor(switching.c, True)
         switching.advance(100_000)
         tau = 4.7 * plant.bus.capacitance
         assert switching.bus.u_dc == pytest.approx(30.0 * math.exp(-1e-3 / tau), rel=1e-9)
         burnt = 0.5 * plant.bus.capacitance * (30.0**2 - switching.bus.u_dc**2)
         assert switching.bus.e_brake == pytest.approx(burnt, rel=1e-6)
-        switching.lib.switching_brake(switching.c, False)
+        switching.lib.switching_brake_resistor(switching.c, False)
         before = switching.bus.u_dc
         switching.advance(200_000)
         assert switching.bus.u_dc == before

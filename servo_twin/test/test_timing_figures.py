@@ -182,8 +182,8 @@ def test_missed_load_is_a_negative_margin() -> None:
     late = at_period(4, shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1))
     longer_m1 = at_period(4, longer(VECTOR_M1, HALF - M1_BEGIN - LENGTH + 10))
     entries = late(longer_m1(ideal()))
-    assert margins(entries)["M1 with current watches, minimum margin"] == pytest.approx(-100.0 / (HALF - 60 - FIRST))
-    assert wrong(deadlines.rows(trace(entries), M1_BEGIN)) == {"M1 with current watches, minimum margin"}
+    assert margins(entries)["M1 with current monitors, minimum margin"] == pytest.approx(-100.0 / (HALF - 60 - FIRST))
+    assert wrong(deadlines.rows(trace(entries), M1_BEGIN)) == {"M1 with current monitors, minimum margin"}
 
 
 def test_late_begin_reduces_the_margin() -> None:
@@ -198,7 +198,7 @@ def without_duties(entries: list[Entry]) -> list[Entry]:
 
 
 def test_duties_that_are_never_released_are_late() -> None:
-    assert "M1 with current watches, minimum margin" in wrong(deadlines.rows(trace(without_duties(ideal())), M1_BEGIN))
+    assert "M1 with current monitors, minimum margin" in wrong(deadlines.rows(trace(without_duties(ideal())), M1_BEGIN))
 
 
 def test_a_loop_without_outputs_has_no_deadline() -> None:
@@ -209,7 +209,7 @@ def test_a_loop_without_outputs_has_no_deadline() -> None:
     off = (16 * PERIOD, int(Kind.WRITE), outputs, 0)
     on = (16 * PERIOD, int(Kind.WRITE), outputs, 0x770)
     assert wrong(deadlines.rows(trace([*entries, off, *later]), M1_BEGIN)) == set()
-    assert "M1 with current watches, minimum margin" in wrong(deadlines.rows(trace([*entries, on, *later]), M1_BEGIN))
+    assert "M1 with current monitors, minimum margin" in wrong(deadlines.rows(trace([*entries, on, *later]), M1_BEGIN))
 
 
 def test_a_nested_interrupt_is_counted_once() -> None:

@@ -271,14 +271,14 @@ class TestConfiguration:
             rig.run(0.1)
             rig.listening = True
             rig.run(0.3)
-            rig.twin.blocks({0: tuple(AxisConfigTable.load().words(read_block(rig.real, 0)))})
+            rig.twin.set_blocks({0: tuple(AxisConfigTable.load().words(read_block(rig.real, 0)))})
             assert rig.twin.labels(), "the board of the twin already has this configuration"
-            rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
+            rig.twin.set_blocks({1: tuple(AxisConfigTable.load().words(block))})
             assert rig.twin.status == "changed configuration of the board"
             rig.enable_axes()
             began = rig.twin.synchronisations
             follows(rig, rig.move([5.0, -5.0]))
-            rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
+            rig.twin.set_blocks({1: tuple(AxisConfigTable.load().words(block))})
             assert rig.twin.synchronisations == began
 
     @pytest.mark.parametrize("told_after", [0.0, 0.4])
@@ -298,8 +298,8 @@ class TestConfiguration:
             assert rig.board.read("param.speed_limit") == pytest.approx([90.0, 80.0])
             rig.sample()
             rig.run(told_after)
-            rig.twin.parameters({v.name: rig.board.read_raw(v.name) for v in parameters(CATALOGUE)})
-            rig.twin.blocks(blocks)
+            rig.twin.set_parameters({v.name: rig.board.read_raw(v.name) for v in parameters(CATALOGUE)})
+            rig.twin.set_blocks(blocks)
             rig.enable_axes()
             moving = rig.move([40.0, -40.0])
             follows(rig, moving)
@@ -424,7 +424,7 @@ class TestReports:
             pairs = rig.run(0.04)
             assert pairs == []
             for command in rig.held_reports:
-                rig.twin.command(command)
+                rig.twin.add_command(command)
             rig.held_reports = None
             pairs = rig.run(0.3)
             assert len(pairs) > 50
@@ -443,7 +443,7 @@ class TestReports:
             rig.sample()
             assert [command.variable for command in rig.held_reports] == ["cmd.mode", "cmd.speed", "cmd.speed"]
             for command in [*reversed(rig.held_reports), rig.held_reports[0]]:
-                rig.twin.command(command)
+                rig.twin.add_command(command)
             rig.held_reports = None
             pairs = rig.run(0.3)
             assert worst_counts(pairs) == 0.0
@@ -477,7 +477,7 @@ class TestReports:
     def test_table_without_required_columns_is_refused(self, rig: TwinRig) -> None:
         columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
         with pytest.raises(ValueError, match=r"no applied_count, axis2\.i_q"):
-            rig.twin.samples(columns, np.zeros((1, len(columns))))
+            rig.twin.add_samples(columns, np.zeros((1, len(columns))))
 
 
 class TestTrouble:
@@ -692,13 +692,13 @@ class TestExpiry:
     def test_expired_set_point_stops_the_twin_like_the_board(self, rig: TwinRig) -> None:
         bit = CATALOGUE.flag("limits", "EXPIRED").mask
         expired = False
-        original = rig.twin.samples
+        original = rig.twin.add_samples
 
         def with_flag(columns: list[str], table: NDArray[np.float64]) -> None:
             table[:, columns.index("axis2.limits")] = float(bit if expired else 0)
             original(columns, table)
 
-        rig.twin.samples = with_flag  # type: ignore[method-assign, assignment]
+        rig.twin.add_samples = with_flag  # type: ignore[method-assign, assignment]
         rig.enable_axes()
         rig.write("cmd.mode", [1, 1])
         rig.write("cmd.speed", [40.0, 40.0])
@@ -731,14 +731,14 @@ class TestLongUp:
         rig.enable_axes()
         rig.listening = True
         frame = (1 << 32) * COUNT
-        original = rig.twin.samples
+        original = rig.twin.add_samples
 
         def shifted(columns: list[str], table: NDArray[np.float64]) -> None:
             for name in ("axis1.position", "axis1.position_ref"):
                 table[:, columns.index(name)] += frame
             original(columns, table)
 
-        rig.twin.samples = shifted  # type: ignore[method-assign, assignment]
+        rig.twin.add_samples = shifted  # type: ignore[method-assign, assignment]
         rig.run(0.2)
         pairs = rig.move([2.0, 2.0])
         assert apart(pairs) == []
@@ -809,7 +809,7 @@ def test_report_too_late_for_replay_is_remembered(rig: TwinRig) -> None:
     rig.listening = True
     rig.run(0.2)
     for command in rig.held_reports:
-        rig.twin.command(command)
+        rig.twin.add_command(command)
     rig.held_reports = None
     rig.write("cmd.i_q", [0.5, 0.5])  # would show the mode if it were unknown; ignored in speed mode
     pairs = rig.run(0.2)
@@ -896,7 +896,7 @@ def test_twin_started_later_has_the_temperature_of_the_board(rig: TwinRig) -> No
     rig.board.set_winding(1, 70.0)
     rig.run(0.1)
     rig.listening = True
-    rig.twin.windings([celsius(rig.real, axis) for axis in range(AXES)])
+    rig.twin.set_windings([celsius(rig.real, axis) for axis in range(AXES)])
     rig.set_parameters()
     rig.run(1.5)
     assert rig.twin.status == ""
@@ -916,7 +916,7 @@ def test_twin_started_later_has_the_temperature_of_the_board(rig: TwinRig) -> No
 
 def test_twin_resets_with_the_board(rig: TwinRig) -> None:
     rig.run(0.2)
-    rig.twin.windings([30.0, 30.0])
+    rig.twin.set_windings([30.0, 30.0])
     rig.reset_board()
     rig.enable_axes()
     replica = rig.twin._replica

@@ -35,7 +35,7 @@ def rig() -> Iterator[TwinRig]:
 
 def begin(rig: TwinRig, setup: RecorderSetup) -> None:
     """Set up the recorder of the real board and send its set-up to the twin before the start."""
-    rig.twin.recorder(setup)
+    rig.twin.set_recorder(setup)
     elements = [(CATALOGUE.variables[name], 0) for name in setup.names]
     rig.board.sample(setup.recorder, elements, setup.points)
 
@@ -70,8 +70,8 @@ def recorded(rig: TwinRig, setup: RecorderSetup, turns: tuple[float, float] = (2
     rig.move(turns, 0.06)
     columns, table = end(rig, setup)
     rig.run(0.1)
-    rig.twin.burst("a burst", columns, table)
-    rig.twin.recorder(None)
+    rig.twin.add_burst("a burst", columns, table)
+    rig.twin.set_recorder(None)
     return answer(rig)
 
 
@@ -128,14 +128,14 @@ def test_a_burst_waits_for_a_lagging_twin(rig: TwinRig) -> None:
     rig.listening = False
     rig.run(0.1)
     columns, table = end(rig, FAST)
-    rig.twin.burst("", columns, table)
-    rig.twin.recorder(None)
+    rig.twin.add_burst("", columns, table)
+    rig.twin.set_recorder(None)
     assert rig.twin.burst_answers() == []
     rig.listening = True
     rig.run(0.1)
     assert answer(rig).note == ""
     rig.run(2.2)
-    rig.twin.burst("", columns, table)
+    rig.twin.add_burst("", columns, table)
     assert answer(rig).note == "the twin was started after the set-up of the recorder", "sampled only when armed"
 
 
@@ -144,7 +144,7 @@ def test_variables_without_a_twin_value_are_omitted_and_reported(rig: TwinRig) -
     rig.run(0.1)
     columns, table = end(rig, replace(FAST, names=("tick", "cmd.position[0]", "applied_tick", "axis2.i_q")))
     rig.run(0.1)
-    rig.twin.burst("", columns, table)
+    rig.twin.add_burst("", columns, table)
     burst = answer(rig)
     assert list(burst.columns) == ["tick", "axis2.i_q", topics.BURST_TIME, *topics.STAMP_COLUMNS]
     assert burst.note == "without cmd.position[0], applied_tick (written by the host or not available in the twin)"
@@ -160,9 +160,9 @@ def test_variables_without_a_twin_value_are_omitted_and_reported(rig: TwinRig) -
 )
 def test_an_unsuitable_setup_is_refused_with_the_reason(rig: TwinRig, setup: RecorderSetup, note: str) -> None:
     begin(rig, FAST)
-    rig.twin.recorder(setup)
+    rig.twin.set_recorder(setup)
     rig.run(0.1)
-    rig.twin.burst("", *end(rig, FAST))
+    rig.twin.add_burst("", *end(rig, FAST))
     burst = answer(rig)
     assert (len(burst.twin), len(burst.residual)) == (0, 0)
     assert burst.note == note
@@ -178,18 +178,18 @@ def test_samples_before_a_resynchronisation_are_not_available(rig: TwinRig) -> N
     rig.run(0.05)
     early = np.concatenate([table[:1] * (0.0,), table])
     early[0, 0] = first
-    rig.twin.burst("", burst_columns, early)
+    rig.twin.add_burst("", burst_columns, early)
     note = answer(rig).note
     assert note.startswith(f"the burst starts at tick {first}; the twin has samples from tick ")
     assert note.endswith(" on (resynchronisation requested)")
     table[:, 0] += 16_000.0
-    rig.twin.burst("", burst_columns, table)
-    rig.twin.recorder(FAST)
+    rig.twin.add_burst("", burst_columns, table)
+    rig.twin.set_recorder(FAST)
     assert (
         answer(rig).note
         == "the twin lags: the recorder was set up again before the twin reached the end of the previous burst"
     )
-    rig.twin.burst("", burst_columns, table)
+    rig.twin.add_burst("", burst_columns, table)
     rig.twin.resync("asked again")
     assert answer(rig).note == "the twin does not follow the board: asked again"
 
@@ -203,7 +203,7 @@ def test_no_residual_while_the_boards_are_not_comparable() -> None:
         rig.run(0.1)
         columns, table = end(rig, FAST)
         rig.run(0.1)
-        rig.twin.burst("", columns, table)
+        rig.twin.add_burst("", columns, table)
         burst = answer(rig)
         apart = np.isnan(burst.residual[:, 1])
         assert 0 < apart.sum() < len(apart)
@@ -228,7 +228,7 @@ def test_sampling_ends_at_a_reset_of_the_board(rig: TwinRig) -> None:
     begin(rig, FAST)
     rig.run(0.05)
     assert rig.twin._bursts.sampling
-    rig.twin.recorder(None)
+    rig.twin.set_recorder(None)
     rig.twin.resync("the board was reset")
     rig.run(0.2)
     assert not rig.twin._bursts.sampling

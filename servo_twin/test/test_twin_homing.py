@@ -86,7 +86,7 @@ def test_a_resynchronised_twin_has_the_home_state_of_the_board() -> None:
 
 def test_stops_of_a_plant_are_in_order() -> None:
     plant = PlantConfig.load()
-    with pytest.raises(ValueError, match=r"stop_min: 2\.0 is not below stop_max = 1\.0"):
+    with pytest.raises(ValueError, match=r"stop_min: 2\.0 is above stop_max = 1\.0"):
         plant.with_axis(0, stop_min=2.0, stop_max=1.0)
     with pytest.raises(ValueError, match=r"axis2\.stop_stiffness: 10000\.0 N m/rad is too large"):
         replace(plant.with_axis(1, stop_stiffness=10_000.0))

@@ -117,7 +117,7 @@ class Rig:
         )
 
     # ---- the board's twin, over ROS
-    def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+    def add_samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         self._columns = list(columns)
         self._rows += table.tolist()
         if len(self._rows) >= BATCH:
@@ -125,10 +125,10 @@ class Rig:
             self._rows.clear()
             self.executor.spin_once(timeout_sec=0.0)
 
-    def command(self, command: AppliedCommand) -> None:
+    def add_command(self, command: AppliedCommand) -> None:
         self.applied.publish(applied_message(command))
 
-    def parameters(self, values: dict[str, list[int]]) -> None:
+    def set_parameters(self, values: dict[str, list[int]]) -> None:
         self.board_parameters.publish(parameters_message(values, CATALOGUE))
 
     def step(self) -> list[Any]:
@@ -372,7 +372,7 @@ def test_commands_do_not_replace_missing_telemetry(rig: Rig) -> None:
     rig.until(lambda: rig.last("/twin/healthy"))
 
     def silent() -> bool:
-        rig.command(AppliedCommand("cmd.position", rig.board.real.tick, (0, 0), 3))
+        rig.add_command(AppliedCommand("cmd.position", rig.board.real.tick, (0, 0), 3))
         return bool(rig.status("comparison").message == "no telemetry from /servo")
 
     rig.until(silent)

@@ -98,7 +98,7 @@ def test_positions_of_the_twin_are_unwrapped_like_those_of_the_board(turns_of_th
     far = turns_of_the_counter << 32
     sample = SimpleNamespace(position=(far + 2**31 + 5, 0), labels=("STOP", "STOP"))
     alignment = AxisAlignment(0, CATALOGUE)
-    alignment.begin(sample, FarReplica())  # type: ignore[arg-type]
+    alignment.begin_at(sample, FarReplica())  # type: ignore[arg-type]
     assert alignment.offset == 3
     assert alignment.in_real_coordinates(FarReplica(), sample) == {  # type: ignore[arg-type]
         "axis1.position": far + 2**31 + 5,

@@ -52,11 +52,11 @@ class Line:
         self.rig.twin = self  # type: ignore[assignment]
 
     # ---- interface of the twin
-    def samples(self, columns: Any, table: Any) -> None:
-        self.worker.samples(columns, table)
+    def add_samples(self, columns: Any, table: Any) -> None:
+        self.worker.add_samples(columns, table)
 
-    def command(self, command: Any) -> None:
-        self.worker.command(command)
+    def add_command(self, command: Any) -> None:
+        self.worker.add_command(command)
 
     def step(self) -> list[Pair]:
         return []
@@ -97,7 +97,7 @@ def test_too_many_messages_restart_the_twin(line: Line) -> None:
     row = np.zeros((1, len(COLUMNS)))
     for tick in range(8, 8 * 1100, 8):
         row[0, 0] = tick
-        line.worker.samples(COLUMNS, row.copy())
+        line.worker.add_samples(COLUMNS, row.copy())
     line.worker.start()
     line.recorder.wait_for(lambda: "the simulation is slower than the board" in line.recorder.statuses)
     assert line.worker.figures().overruns == 1
@@ -107,7 +107,7 @@ def test_too_large_a_backlog_of_board_time_restarts_the_twin(line: Line) -> None
     line.rig.run(0.1)
     table = np.zeros((500, len(COLUMNS)))
     table[:, 0] = np.arange(500) * 800 + 80_000
-    line.worker.samples(COLUMNS, table)
+    line.worker.add_samples(COLUMNS, table)
     line.worker.start()
     line.recorder.wait_for(lambda: "the simulation is slower than the board" in line.recorder.statuses)
     figures = line.worker.figures()
@@ -116,7 +116,7 @@ def test_too_large_a_backlog_of_board_time_restarts_the_twin(line: Line) -> None
 
 def test_a_table_without_required_columns_is_reported(line: Line) -> None:
     line.worker.start()
-    line.worker.samples(["tick"], np.zeros((1, 1)))
+    line.worker.add_samples(["tick"], np.zeros((1, 1)))
     line.recorder.wait_for(lambda: any("the snapshot has no applied_tick" in s for s in line.recorder.statuses))
     line.rig.run(0.1)
     line.recorder.wait_for(lambda: line.recorder.pairs)

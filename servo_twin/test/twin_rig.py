@@ -113,7 +113,7 @@ class TwinRig:
             self.board.write_raw(name, raw)
             present[name] = raw
         if report:
-            self.twin.parameters(present)
+            self.twin.set_parameters(present)
 
     def run(self, seconds: float) -> list[Pair]:
         """Run the real board with samples; return the pairs of the twin."""
@@ -133,14 +133,14 @@ class TwinRig:
         row[0] = float(tick)
         row += divmod(EPOCH_NS + tick * PERIOD_NS, 1_000_000_000)
         if self.listening:
-            self.twin.samples(COLUMNS, np.array([row]))
+            self.twin.add_samples(COLUMNS, np.array([row]))
             self.pairs.extend(self.twin.step())
 
     def _report(self, command: AppliedCommand) -> None:
         if self.held_reports is not None:
             self.held_reports.append(command)
         elif self.reporting and self.listening:
-            self.twin.command(command)
+            self.twin.add_command(command)
 
     def until(self, label: str, seconds: float = 3.0, axes: Sequence[int] = range(AXES)) -> None:
         """Run until both axes of the real board are in a state."""

@@ -366,7 +366,7 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
  *   motor 2    G2 G3 PWMB 0B 0A, G0 G1 1B 1A, E6 E7 2B 2A    F14 over-current    C2, F8 encoder A, B
  *   host       C7 transmit, C8 receive    C0, C1 crystal
  *   monitor    G5, G4 PWMB 3A, 3B: two variables as filtered pulses
- *   brake      G6 high switches the resistor on
+ *   resistor   G6 high switches the brake resistor on
  *   scope      F6, F7 high while M1, M2 runs (DRM F38)
  *   switches   F0 F1 F2 home, lower and upper limit of motor 1, F3 F4 F5 of motor 2: to ground, pulled up
  *   enable     E9 (PWMA FAULT1), F13 (PWMB FAULT1): to ground, pulled up
@@ -374,7 +374,7 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
 #define PIN_HOLDING(axis) BIT(5U + (axis))
 #define SWITCHES_SHIFT(axis) (3U * (axis))
 #define SWITCHES_MASK 7U
-#define PIN_BRAKE BIT(6)
+#define PIN_BRAKE_RESISTOR BIT(6)
 #define PIN_SCOPE_M1 BIT(6)
 #define PIN_SCOPE_M2 BIT(7)
 #define SET_GPSAL SIM_GPSAL_A0(SIM_A0_ANA0)
@@ -405,7 +405,7 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
 #define SET_GPIOG_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(5))
 #define SET_GPIOD_DDR (PIN_HOLDING(0U) | PIN_HOLDING(1U))
 #define SET_GPIOF_DDR (PIN_SCOPE_M1 | PIN_SCOPE_M2)
-#define SET_GPIOG_DDR PIN_BRAKE
+#define SET_GPIOG_DDR PIN_BRAKE_RESISTOR
 /* Pulled up: an unplugged encoder or host is quiet, a torn over-current line is an over-current. */
 #define SET_GPIOC_PULL (BIT(2) | BIT(3) | BIT(4) | BIT(8))
 #define SET_GPIOE_PULL (BIT(8) | BIT(9))

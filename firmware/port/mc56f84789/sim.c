@@ -17,7 +17,7 @@ static void pull_up(hal_t *hal, uint16_t port, uint16_t pins)
     REG_WRITE(hal, port + GPIO_PUR, pins);
 }
 
-void hal_brake(hal_t *hal, bool on) { REG_WRITE(hal, GPIO(GPIO_G) + GPIO_DR, on ? PIN_BRAKE : 0U); }
+void hal_brake_resistor(hal_t *hal, bool on) { REG_WRITE(hal, GPIO(GPIO_G) + GPIO_DR, on ? PIN_BRAKE_RESISTOR : 0U); }
 
 void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
 {
@@ -59,7 +59,7 @@ void pins_init(hal_t *hal)
     REG_WRITE(hal, GPIO(GPIO_D) + GPIO_PPMODE, SET_GPIOD_DDR);
     REG_WRITE(hal, GPIO(GPIO_D) + GPIO_DDR, SET_GPIOD_DDR);
 
-    hal_brake(hal, false);
+    hal_brake_resistor(hal, false);
     REG_WRITE(hal, GPIO(GPIO_G) + GPIO_PPMODE, SET_GPIOG_DDR);
     REG_WRITE(hal, GPIO(GPIO_G) + GPIO_DDR, SET_GPIOG_DDR);
 

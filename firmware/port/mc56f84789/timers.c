@@ -30,7 +30,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 
 /* ---- captures (DRM F17): a set IEF keeps the capture, until it is cleared --------------------------------------- */
 
-static bool latched(hal_t *hal, uint16_t axis, uint16_t channel)
+static bool captured(hal_t *hal, uint16_t axis, uint16_t channel)
 {
     return (REG_READ(hal, timer_register(hal, axis, channel, TMR_SCTRL)) & TMR_SCTRL_IEF) != 0U;
 }
@@ -51,8 +51,8 @@ void hal_capture_arm(hal_t *hal, uint16_t axis)
         REG_WRITE(hal, timer_register(hal, axis, TIMER_STAMP, TMR_SCTRL), SET_TMR_SCTRL_CAPTURE);
         REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_SCTRL), SET_TMR_SCTRL_CAPTURE | TMR_SCTRL_IEFIE);
         /* An edge between these writes is in only some of the captures: repeat. */
-        const bool count = latched(hal, axis, TIMER_COUNT);
-        if (count == latched(hal, axis, TIMER_STAMP)) {
+        const bool count = captured(hal, axis, TIMER_COUNT);
+        if (count == captured(hal, axis, TIMER_STAMP)) {
             break;
         }
     }
@@ -65,7 +65,7 @@ bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
 {
     port_axis_t *state = &hal->axis[axis];
     const uint16_t arms = state->arms;
-    if (!state->armed || !latched(hal, axis, TIMER_COUNT)) {
+    if (!state->armed || !captured(hal, axis, TIMER_COUNT)) {
         return false;
     }
     state->armed = false;

@@ -1,4 +1,4 @@
-"""Points of a recorder as arrays. Pure."""
+"""Points of a recorder as arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One recording from configuration to the last point, in steps between which the line is free for others. Pure."""
+"""One recording from configuration to the last point, in steps between which the line is free for others."""
 
 from __future__ import annotations
 

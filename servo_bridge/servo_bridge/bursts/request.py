@@ -1,4 +1,4 @@
-"""Configuration of a burst as command line options, and set-up of a recorder for it. Pure."""
+"""Configuration of a burst as command line options, and set-up of a recorder for it."""
 
 from __future__ import annotations
 

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 
+class RerunMissingError(UsageError):
+    """Rerun is not installed."""
+
+
 def import_rerun(user: str) -> ModuleType:
     """Import rerun.
 
@@ -28,14 +32,14 @@ def import_rerun(user: str) -> ModuleType:
 
     Raises
     ------
-    UsageError
+    RerunMissingError
         If it is not installed.
     """
     os.environ.setdefault("RERUN_ANALYTICS", "false")  # prevents delays on a computer without a network
     try:
         import rerun
     except ImportError as error:
-        raise UsageError(f"{user} needs rerun ({error}): pip install 'rerun-sdk==0.41.*'") from None
+        raise RerunMissingError(f"{user} needs rerun ({error}): pip install 'rerun-sdk==0.41.*'") from None
     return rerun
 
 

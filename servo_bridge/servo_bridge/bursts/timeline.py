@@ -1,4 +1,4 @@
-"""Common timeline of telemetry rows and burst points. Pure."""
+"""Common timeline of telemetry rows and burst points."""
 
 from __future__ import annotations
 

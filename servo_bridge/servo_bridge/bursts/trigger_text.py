@@ -1,4 +1,4 @@
-"""Triggers of a recorder as text, such as ``axis1.i_q > 1.0``. Pure."""
+"""Triggers of a recorder as text, such as ``axis1.i_q > 1.0``."""
 
 from __future__ import annotations
 
@@ -101,7 +101,9 @@ def trigger_of(
         address = _threshold_address(variable, *other)
     else:
         threshold = _threshold(variable, expression, catalogue)
-    return Trigger(slot, compare, above, not above, threshold, address, level)
+    return Trigger(
+        slot, compare, above=above, below=not above, threshold=threshold, threshold_address=address, level=level
+    )
 
 
 def _other_variable(text: str, variables: Mapping[str, BoardVariable]) -> tuple[BoardVariable, int | None] | None:

@@ -1,6 +1,6 @@
 """FreeMASTER frames of both versions: checksum, doubling of the start byte, LEB128 numbers, parser of responses.
 
-Pure functions and one state machine, without timing and ports.
+Functions and one state machine, without timing and ports.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Timeout of a response, from the measured delays of previous ones. Pure."""
+"""Timeout of a response, from the measured delays of previous ones."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Variable table of a target (TSA): type strings, entries, and decoding of numbers.
 
-Pure: processes the texts and words read by `discovery`.
+Processes the texts and words read by `discovery`.
 """
 
 from __future__ import annotations

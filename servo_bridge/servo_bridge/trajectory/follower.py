@@ -1,4 +1,4 @@
-"""Sends the timed points of paths to the board ahead of time, limited by the queues of the board. Pure.
+"""Sends the timed points of paths to the board ahead of time, limited by the queues of the board.
 
 Times are board time: PWM periods since reset, extended beyond 32 bits, or seconds. Every axis has its own path. A new
 path replaces it after `LEAD`, starting with the state of the old path at that time. Paths are in joint units, reports

@@ -1,4 +1,4 @@
-"""State of one goal of control_msgs/FollowJointTrajectory, from its acceptance to its result. Pure.
+"""State of one goal of control_msgs/FollowJointTrajectory, from its acceptance to its result.
 
 Times are board time [s]; states contain the joints of the goal in their order.
 """

@@ -41,7 +41,8 @@ class PlayoutClock:
 
     The smallest transit time in a window is the clock offset (including the smallest delay); the spread of the other
     transit times is the jitter. Each message is needed one period after the previous one, so the delay is period plus
-    jitter. The delay changes slowly, so that the motion neither jumps nor stops.
+    jitter, limited to `delay_max`; with the default limit jitter is not compensated. The delay changes slowly, so that
+    the motion neither jumps nor stops.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class PlayoutClock:
     """
 
     def __init__(self, lead: float, delay_max: float | None = None) -> None:
-        self.lead = lead  # [s]; the delay follows changes slowly
+        self.lead = lead  # [s]; `delay` follows a change of it slowly
         self._delay_max = delay_max
         self.received = self.lost = self.late = 0  # numbers of messages
         self.reset()
@@ -63,7 +64,7 @@ class PlayoutClock:
         self._recent: deque[float] = deque(maxlen=_WINDOW)
         self._pending: list[float] = []
         self._passed: float | None = None
-        self._shift: float | None = None
+        self._shift: float | None = None  # local time minus due stamp [s]
         self._late_in_a_row = 0
         self.offset = self.jitter = self.period = 0.0
 

@@ -1,4 +1,4 @@
-"""Streamed set-points of the joints of a board: begin, feeding and end of one stream per joint. Pure.
+"""Streamed set-points of the joints of a board: begin, feeding and end of one stream per joint.
 
 Times are board time [s].
 """

@@ -1,4 +1,4 @@
-"""Changes of a board by a configuration file, and a configuration file from a board. Pure."""
+"""Changes of a board by a configuration file, and a configuration file from a board."""
 
 from __future__ import annotations
 

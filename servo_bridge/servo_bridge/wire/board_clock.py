@@ -1,4 +1,4 @@
-"""Board time and host time: extension of ticks beyond 32 bits, and mapping to the clocks of the host. Pure.
+"""Board time and host time: extension of ticks beyond 32 bits, and mapping to the clocks of the host.
 
 A sample arrives some time after its tick: transmission, adapter, operating system. This delay is never negative, so the
 smallest recent difference is the best estimate of the offset between both clocks.

@@ -1,4 +1,4 @@
-"""Configuration, inputs and outputs of a link. Pure."""
+"""Configuration, inputs and outputs of a link."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Queue of jobs for the thread of the link: bounded, ordered, discarded at the loss of the link. Pure."""
+"""Queue of jobs for the thread of the link: bounded, ordered, discarded at the loss of the link."""
 
 from __future__ import annotations
 

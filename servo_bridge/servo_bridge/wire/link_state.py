@@ -1,4 +1,4 @@
-"""States of the link, with reason and remedy. Pure."""
+"""States of the link, with reason and remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Telemetry samples: their variables and decoding. Pure."""
+"""Telemetry samples: their variables and decoding."""
 
 from __future__ import annotations
 

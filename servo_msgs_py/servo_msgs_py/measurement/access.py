@@ -1,4 +1,4 @@
-"""Interface of a board for measurements: variables in SI, board time, and the recorder. Pure.
+"""Interface of a board for measurements: variables in SI, board time, and the recorder.
 
 The same measurement runs on a virtual board in simulated time and on a board at a serial line.
 """

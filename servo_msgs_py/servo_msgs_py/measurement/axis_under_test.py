@@ -1,4 +1,4 @@
-"""Axis during a measurement: preconditions, supervised commands, restoration of the initial state. Pure.
+"""Axis during a measurement: preconditions, supervised commands, restoration of the initial state.
 
 Active set-points are rewritten within `param.command_timeout`: if the host stops communicating, the board stops the
 shaft.
@@ -293,15 +293,15 @@ class AxisState:
         The axis.
     """
 
-    def __init__(self, it: AxisUnderTest) -> None:
-        access = it.access
-        self._it, self._block = it, read_block(access, it.axis)
+    def __init__(self, axis: AxisUnderTest) -> None:
+        access = axis.access
+        self._axis, self._block = axis, read_block(access, axis.axis)
         names = [
             name
             for name, variable in access.catalogue.variables.items()
             if name in _COMMANDS or (name.startswith("param.") and variable.count == AXES and name not in _NOT_PER_AXIS)
         ]
-        self._words = {name: access.read_words(name)[it.axis] for name in names}
+        self._words = {name: access.read_words(name)[axis.axis] for name in names}
         self._timeout = access.read_words("param.command_timeout")
 
     def word(self, name: str) -> int:
@@ -310,29 +310,29 @@ class AxisState:
 
     def value(self, name: str) -> float:
         """The same value in SI."""
-        return float(self._it.access.catalogue[name].scale(self._words[name]))
+        return float(self._axis.access.catalogue[name].scale(self._words[name]))
 
     @property
     def restore_steps(self) -> list[Step]:
         """Steps that restore the stored state; parameters are verified."""
-        it = self._it
+        axis = self._axis
 
         def configuration() -> None:
-            it.wait_for_rest()  # a configuration of another motor is refused in motion
-            send_configuration(it.access, {it.axis: self._block})
+            axis.wait_for_rest()  # a configuration of another motor is refused in motion
+            send_configuration(axis.access, {axis.axis: self._block})
 
         steps: list[Step] = [
-            ("outputs off and shaft at rest", it.off),
+            ("outputs off and shaft at rest", axis.off),
             ("configuration", configuration),
             ("param.command_timeout", lambda: self._write("param.command_timeout", self._timeout, 0)),
         ]
         # A configuration resets parameters, so they follow it; mode and set-points are last.
         for name in sorted(self._words, key=lambda name: name in _COMMANDS):
-            steps.append((name, partial(self._write, name, [self._words[name]], it.axis)))
+            steps.append((name, partial(self._write, name, [self._words[name]], axis.axis)))
         return steps
 
     def _write(self, name: str, words: Sequence[int], first: int) -> None:
-        access = self._it.access
+        access = self._axis.access
         accepted = access.write_words(name, words, first)
         if not accepted or access.read_words(name)[first : first + len(words)] != list(words):
             raise MeasurementError(f"the board refuses {list(words)}")

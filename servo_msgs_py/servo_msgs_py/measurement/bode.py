@@ -1,4 +1,4 @@
-"""Measurement of the open loop of a controller on a running axis, with the prediction of the tuning code. Pure.
+"""Measurement of the open loop of a controller on a running axis, with the prediction of the tuning code.
 
 The board adds a swept sine at the input or output of a controller in every call of the loop. The recorder samples it
 with the signals of the loop; `frequency_response` evaluates them. The loops stay closed.

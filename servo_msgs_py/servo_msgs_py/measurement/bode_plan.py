@@ -1,4 +1,4 @@
-"""Plan of an open-loop measurement within the limits of the axis: sweeps, amplitude and speed. Pure."""
+"""Plan of an open-loop measurement within the limits of the axis: sweeps, amplitude and speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion of an axis during an open-loop measurement: start, supervision, restoration. Pure."""
+"""Motion of an axis during an open-loop measurement: start, supervision, restoration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Closed-form estimates from the recordings of a motor test. Missing samples (NaN) are omitted. Pure."""
+"""Closed-form estimates from the recordings of a motor test. Missing samples (NaN) are omitted."""
 
 from __future__ import annotations
 

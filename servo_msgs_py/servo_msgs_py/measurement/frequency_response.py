@@ -1,4 +1,4 @@
-"""Open-loop frequency response and margins, with uncertainty, from recordings of a closed loop. Pure.
+"""Open-loop frequency response and margins, with uncertainty, from recordings of a closed loop.
 
 In closed loop, error and output both contain the disturbances, so the quotient of output and error would be biased
 towards the inverse of the controller. The test signal d is not correlated with the disturbances; as an instrumental

@@ -1,4 +1,4 @@
-"""Least squares with uncertainties for the closed-form estimates. Pure."""
+"""Least squares with uncertainties for the closed-form estimates."""
 
 from __future__ import annotations
 

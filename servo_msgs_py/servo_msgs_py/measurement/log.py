@@ -1,4 +1,4 @@
-"""Record of the calls and recordings of a measurement, stored in a file, and its replay on another board. Pure.
+"""Record of the calls and recordings of a measurement, stored in a file, and its replay on another board.
 
 A file is a numpy archive: ``log`` is JSON with the calls in order, ``r0``, ``r1`` .. are the recordings, one column per
 variable. A missing sample is NaN.

@@ -1,4 +1,4 @@
-"""Configurations for an unknown motor, and for a motor with measured values. Pure."""
+"""Configurations for an unknown motor, and for a motor with measured values."""
 
 from __future__ import annotations
 
@@ -160,11 +160,11 @@ def fitted(
         }
         table = configured(base, axis, limits, motor, control=control)
         try:
-            it = tuned_axis(table, axis)
+            design = tuned_axis(table, axis)
         except ConfigError as error:
             problem = error
             continue
-        phase = it.shaft().speed_margins().phase
+        phase = design.shaft().speed_margins().phase
         if phase is None or phase >= PHASE_MIN:
             return table
     assert problem is not None

@@ -1,4 +1,4 @@
-"""Axis with an unknown motor: protection and configuration during its tests, and recordings. Pure."""
+"""Axis with an unknown motor: protection and configuration during its tests, and recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Identification tests of a motor of which only voltage and current limit are known. Pure.
+"""Identification tests of a motor of which only voltage and current limit are known.
 
 Each test uses the results of the previous ones. A current vector at a fixed angle holds the rotor: resistance and lost
 voltage, then inductances, with current controllers adapted to each estimate. The vector rotates: pole pairs, direction,

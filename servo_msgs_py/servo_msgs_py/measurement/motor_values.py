@@ -1,4 +1,4 @@
-"""Estimated motor values with uncertainties, and the limits of a measurement. Pure."""
+"""Estimated motor values with uncertainties, and the limits of a measurement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prediction of a loop of a board by the tuning code: same model and margins as in its report. Pure."""
+"""Prediction of a loop of a board by the tuning code: same model and margins as in its report."""
 
 from __future__ import annotations
 

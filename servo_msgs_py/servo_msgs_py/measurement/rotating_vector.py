@@ -1,4 +1,4 @@
-"""Pole pairs, encoder direction and gains of the current sensors from a rotating current vector. Pure."""
+"""Pole pairs, encoder direction and gains of the current sensors from a rotating current vector."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flux, friction, load and inertia from runs at several speeds with reversals. Pure."""
+"""Flux, friction, load and inertia from runs at several speeds with reversals."""
 
 from __future__ import annotations
 

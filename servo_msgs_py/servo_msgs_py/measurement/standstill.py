@@ -1,4 +1,4 @@
-"""Resistance, lost voltage, inductances and delay of a motor whose rotor is held by a current vector. Pure."""
+"""Resistance, lost voltage, inductances and delay of a motor whose rotor is held by a current vector."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Test signals of the board (firmware/doc/test-signals.md) in SI units. Pure."""
+"""Test signals of the board (firmware/doc/test-signals.md) in SI units."""
 
 from __future__ import annotations
 

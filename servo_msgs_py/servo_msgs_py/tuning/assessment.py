@@ -108,54 +108,54 @@ class Assessment:
     sensorless: SensorlessFigures
 
 
-def assess(it: Tuned) -> Assessment:
+def assess(design: Tuned) -> Assessment:
     """Compute all figures."""
-    bare = _bare_overshoot(it.shaft().position, it.used.position)
+    bare = _bare_overshoot(design.shaft().position, design.used.position)
     return Assessment(
-        name=it.axis.name,
-        loops=tuple(_loops(it)),
-        edges=tuple((speed, _at_speed(it, speed)) for speed in SPEEDS),
-        rule=design_rule(it, it.shaft().speed_margins()),
-        arrival=Arrival(bare, *shaped_arrival(it)),
-        load_step=_load_step(it),
-        reach=_reach(it),
-        inertias=tuple(_with_inertia(it, factor, observed) for observed in (False, True) for factor in INERTIAS),
-        sensorless=sensorless_figures(it),
+        name=design.axis.name,
+        loops=tuple(_loops(design)),
+        edges=tuple((speed, _at_speed(design, speed)) for speed in SPEEDS),
+        rule=design_rule(design, design.shaft().speed_margins()),
+        arrival=Arrival(bare, *shaped_arrival(design)),
+        load_step=_load_step(design),
+        reach=_reach(design),
+        inertias=tuple(_with_inertia(design, factor, observed) for observed in (False, True) for factor in INERTIAS),
+        sensorless=sensorless_figures(design),
     )
 
 
-def _loops(it: Tuned) -> Iterator[Loop]:
+def _loops(design: Tuned) -> Iterator[Loop]:
     for which in "dq":
-        loop = it.current_loop(which)
-        wanted = it.axis("control.current_bandwidth")
+        loop = design.current_loop(which)
+        wanted = design.axis("control.current_bandwidth")
         closed = loop.closed
         yield Loop(f"current {which}", True, wanted, loop.margins(), closed.tracking(), poles(closed.a, loop.period))
     for observed in (False, True):
-        yield from _shaft_loops(it, observed)
+        yield from _shaft_loops(design, observed)
 
 
-def _shaft_loops(it: Tuned, observed: bool) -> Iterator[Loop]:
-    shaft, tick, in_force = it.shaft(observed=observed), it.board.tick, observed == it.observed
+def _shaft_loops(design: Tuned, observed: bool) -> Iterator[Loop]:
+    shaft, tick, in_force = design.shaft(observed=observed), design.board.tick, observed == design.observed
     suffix = ", observer" if observed else ""
-    wanted = it.axis("control.speed_bandwidth")
+    wanted = design.axis("control.speed_bandwidth")
     tracking = shaft.speed.channel(Out.SPEED, In.SET_POINT).tracking()
     closed = poles(shaft.speed_alone, tick)
     yield Loop(f"speed{suffix}", in_force, wanted, shaft.speed_margins(), tracking, closed)
-    wanted = it.axis("control.position_gain") / (2.0 * math.pi)
+    wanted = design.axis("control.position_gain") / (2.0 * math.pi)
     tracking = shaft.position.channel(Out.ANGLE, In.SET_POINT).tracking()
     closed = poles(shaft.position.a, tick)
     yield Loop(f"position{suffix}", in_force, wanted, shaft.position_margins(), tracking, closed)
 
 
-def design_rule(it: Tuned, speed: Margins) -> DesignRule:
+def design_rule(design: Tuned, speed: Margins) -> DesignRule:
     """DRM E43..E45 from rated data, and the lag of the tuned speed loop."""
-    axis = it.axis
+    axis = design.axis
     rated_torque = axis.torque_constant * axis("motor.rated_current")
     t_n = {key: axis("motor.rated_speed") * axis(f"motor.{key}") / rated_torque for key in ("rotor_inertia", "inertia")}
     k_p = 15.0 / (math.pi * t_n["inertia"])
     crossover = axis("control.speed_bandwidth") if speed.crossover is None else speed.crossover
     t_tuned = 1.0 / (2.0 * math.pi * crossover)
-    k_v = it.used.position
+    k_v = design.used.position
     return DesignRule(
         t_n_rotor=t_n["rotor_inertia"],
         t_n_shaft=t_n["inertia"],
@@ -167,9 +167,9 @@ def design_rule(it: Tuned, speed: Margins) -> DesignRule:
     )
 
 
-def _ticks(it: Tuned, *rates: float) -> int:
+def _ticks(design: Tuned, *rates: float) -> int:
     """Slow ticks until transients of these rates [1/s] have decayed."""
-    return min(math.ceil(12.0 / min(rates) / it.board.tick), _TICKS_MAX)
+    return min(math.ceil(12.0 / min(rates) / design.board.tick), _TICKS_MAX)
 
 
 def _bare_overshoot(position: System, k_v: float) -> float:
@@ -190,7 +190,7 @@ def _filtered(ramp: NDArray[np.float64], omega_n_ts: float) -> NDArray[np.float6
     return result
 
 
-def shaped_arrival(it: Tuned) -> tuple[float, float]:
+def shaped_arrival(design: Tuned) -> tuple[float, float]:
     """Simulate a move that reaches the speed limit.
 
     Returns
@@ -198,57 +198,59 @@ def shaped_arrival(it: Tuned) -> tuple[float, float]:
     tuple of float
         Overshoot [counts], and the lag of the shaft behind its set-point at the speed limit [rad].
     """
-    speed, tick = it.axis("limits.speed"), it.board.tick
-    settled = _ticks(it, it.used.path_omega_n, it.used.position)
+    speed, tick = design.axis("limits.speed"), design.board.tick
+    settled = _ticks(design, design.used.path_omega_n, design.used.position)
     ramp = speed * tick * np.minimum(np.arange(2 * settled), settled)
     u = np.zeros((ramp.size, len(In)))
-    u[:, In.SET_POINT] = _filtered(ramp, it.used.path_omega_n * tick)
-    angle = it.shaft().position.simulate(u)[:, Out.ANGLE]
+    u[:, In.SET_POINT] = _filtered(ramp, design.used.path_omega_n * tick)
+    angle = design.shaft().position.simulate(u)[:, Out.ANGLE]
     beyond = float(angle.max()) - float(ramp[-1])
-    return max(beyond, 0.0) * it.axis.counts / (2.0 * math.pi), float(u[settled, In.SET_POINT] - angle[settled])
+    return max(beyond, 0.0) * design.axis.counts / (2.0 * math.pi), float(u[settled, In.SET_POINT] - angle[settled])
 
 
-def _load_step(it: Tuned) -> LoadStep:
-    torque = it.axis.torque_constant * it.axis("motor.rated_current")
-    corner = 2.0 * math.pi * it.axis("control.speed_bandwidth") / it.axis("control.speed_ratio")
-    u = np.zeros((_ticks(it, it.used.position, corner), len(In)))
+def _load_step(design: Tuned) -> LoadStep:
+    torque = design.axis.torque_constant * design.axis("motor.rated_current")
+    corner = 2.0 * math.pi * design.axis("control.speed_bandwidth") / design.axis("control.speed_ratio")
+    u = np.zeros((_ticks(design, design.used.position, corner), len(In)))
     u[:, In.LOAD] = torque
-    angle = np.abs(it.shaft().position.simulate(u)[:, Out.ANGLE])
+    angle = np.abs(design.shaft().position.simulate(u)[:, Out.ANGLE])
     deflection = float(angle.max())
     outside = np.nonzero(angle > 0.1 * deflection)[0]
-    return LoadStep(torque, deflection, torque / deflection, (int(outside[-1]) + 1) * it.board.tick)
+    return LoadStep(torque, deflection, torque / deflection, (int(outside[-1]) + 1) * design.board.tick)
 
 
-def _at_speed(it: Tuned, speed: float) -> Margins:
-    return it.shaft(observed=False).speed_margins(edge_delay(it.axis("encoder.lines"), it.board.tick, speed))
+def _at_speed(design: Tuned, speed: float) -> Margins:
+    return design.shaft(observed=False).speed_margins(
+        edge_delay(design.axis("encoder.lines"), design.board.tick, speed)
+    )
 
 
-def _with_inertia(it: Tuned, factor: float, observed: bool) -> Inertia:
-    shaft = it.shaft(factor, observed)
+def _with_inertia(design: Tuned, factor: float, observed: bool) -> Inertia:
+    shaft = design.shaft(factor, observed)
     position = shaft.position
     stable = max(spectral_radius(shaft.speed_alone), spectral_radius(position.a)) < 1.0
-    overshoot = _bare_overshoot(position, it.used.position) if stable else None
+    overshoot = _bare_overshoot(position, design.used.position) if stable else None
     return Inertia(factor, observed, stable, shaft.speed_margins(), overshoot)
 
 
-def _top_speed(it: Tuned, current: float) -> float:
+def _top_speed(design: Tuned, current: float) -> float:
     """Speed at which (R i + p psi w)^2 + (p L_q i w)^2 equals the square of the voltage limit [rad/s]."""
-    p = it.axis("motor.pole_pairs")
-    flux, coupling = p * it.axis("motor.psi_m"), p * it.axis("motor.l_q") * current
-    drop, maximum = it.axis("motor.r_s") * current, it.board.voltage_max
+    p = design.axis("motor.pole_pairs")
+    flux, coupling = p * design.axis("motor.psi_m"), p * design.axis("motor.l_q") * current
+    drop, maximum = design.axis("motor.r_s") * current, design.board.voltage_max
     square, half = flux**2 + coupling**2, drop * flux
     square_root = half**2 + square * (maximum**2 - drop**2)
     return max((math.sqrt(square_root) - half) / square, 0.0) if square_root > 0.0 else 0.0
 
 
-def _reach(it: Tuned) -> Reach:
-    axis, k_t = it.axis, it.axis.torque_constant
-    path_acceleration = it.axis("limits.speed") * it.used.path_omega_n / math.e
+def _reach(design: Tuned) -> Reach:
+    axis, k_t = design.axis, design.axis.torque_constant
+    path_acceleration = design.axis("limits.speed") * design.used.path_omega_n / math.e
     per_acceleration = axis("motor.inertia") / k_t
     return Reach(
-        speed_idle=_top_speed(it, 0.0),
-        speed_rated=_top_speed(it, axis("motor.rated_current")),
-        path_omega_n=it.used.path_omega_n,
+        speed_idle=_top_speed(design, 0.0),
+        speed_rated=_top_speed(design, axis("motor.rated_current")),
+        path_omega_n=design.used.path_omega_n,
         path_acceleration=path_acceleration,
         path_current=path_acceleration * per_acceleration,
         ramp_current=axis("limits.acceleration") * per_acceleration,

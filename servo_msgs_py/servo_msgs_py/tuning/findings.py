@@ -69,30 +69,30 @@ _ENTRIES: Final = {
 }
 
 
-def findings(it: Tuned, figures: Assessment) -> list[str]:
+def findings(design: Tuned, figures: Assessment) -> list[str]:
     """All warnings of one axis."""
     return [
-        *_margins(it, figures),
-        *_inertias(it, figures),
-        *_position(it, figures),
-        *_reach(it, figures),
-        *_field_weakening(it),
-        *_rounding(it),
-        *_sign(it),
-        *_follows(it),
-        *_sensorless(it, figures),
+        *_margins(design, figures),
+        *_inertias(design, figures),
+        *_position(design, figures),
+        *_reach(design, figures),
+        *_field_weakening(design),
+        *_rounding(design),
+        *_sign(design),
+        *_follows(design),
+        *_sensorless(design, figures),
     ]
 
 
-def _entry(it: Tuned, path: str) -> str:
-    return f"{it.axis.entry(path)} = {it.axis(path):g}"
+def _entry(design: Tuned, path: str) -> str:
+    return f"{design.axis.entry(path)} = {design.axis(path):g}"
 
 
-def _margins(it: Tuned, figures: Assessment) -> Iterator[str]:
+def _margins(design: Tuned, figures: Assessment) -> Iterator[str]:
     for loop in figures.loops:
         if loop.name not in _ENTRIES or not loop.in_force:
             continue
-        text = f"{_entry(it, _ENTRIES[loop.name])}: the {loop.name} loop has a"
+        text = f"{_entry(design, _ENTRIES[loop.name])}: the {loop.name} loop has a"
         phase, gain = loop.margins.phase, loop.margins.gain
         if phase is not None and phase < PHASE_MIN:
             yield f"{text} phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}; lower it"
@@ -100,15 +100,15 @@ def _margins(it: Tuned, figures: Assessment) -> Iterator[str]:
             yield f"{text} gain margin of {gain:.2f}, less than {GAIN_MIN:g}; lower it"
 
 
-def _inertias(it: Tuned, figures: Assessment) -> Iterator[str]:
+def _inertias(design: Tuned, figures: Assessment) -> Iterator[str]:
     for case in figures.inertias:
-        if not case.stable and case.observed == it.observed:
-            entry = _entry(it, "motor.inertia")
+        if not case.stable and case.observed == design.observed:
+            entry = _entry(design, "motor.inertia")
             yield f"{entry}: unstable with {case.factor:g} times this inertia; lower control.speed_bandwidth"
 
 
-def _position(it: Tuned, figures: Assessment) -> Iterator[str]:
-    entry, rule, arrival = _entry(it, "control.position_gain"), figures.rule, figures.arrival
+def _position(design: Tuned, figures: Assessment) -> Iterator[str]:
+    entry, rule, arrival = _entry(design, "control.position_gain"), figures.rule, figures.arrival
     if rule.k_v_t > K_V_T_MAX:
         yield f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MAX:g}, the shaft may overshoot; lower it"
     if arrival.bare > OVERSHOOT_MAX:
@@ -117,96 +117,96 @@ def _position(it: Tuned, figures: Assessment) -> Iterator[str]:
         yield f"{entry}: a shaped move overshoots by {arrival.shaped:.1f} counts; lower it or control.path_current_use"
 
 
-def _reach(it: Tuned, figures: Assessment) -> Iterator[str]:
-    reach, limit = figures.reach, it.axis("limits.current")
-    if it.axis("limits.speed") > reach.speed_rated:
-        entry = _entry(it, "limits.speed")
+def _reach(design: Tuned, figures: Assessment) -> Iterator[str]:
+    reach, limit = figures.reach, design.axis("limits.current")
+    if design.axis("limits.speed") > reach.speed_rated:
+        entry = _entry(design, "limits.speed")
         yield f"{entry}: above the speed possible with the rated current, {reach.speed_rated:.4g} rad/s; lower it"
     required = {"control.path_current_use": reach.path_current, "limits.acceleration": reach.ramp_current}
     for path, current in required.items():
         if current + reach.friction_current > limit:
             sums = f"requires {current:.2f} A, with friction {current + reach.friction_current:.2f} A"
-            yield f"{_entry(it, path)}: {sums}; the limit is {limit:g} A; lower it"
+            yield f"{_entry(design, path)}: {sums}; the limit is {limit:g} A; lower it"
 
 
-def _field_weakening(it: Tuned) -> Iterator[str]:
-    if not it.axis.features["field_weakening"]:
+def _field_weakening(design: Tuned) -> Iterator[str]:
+    if not design.axis.features["field_weakening"]:
         return
-    for name, loop in field_weakening_loops(it.axis, it.board, it.block).items():
+    for name, loop in field_weakening_loops(design.axis, design.board, design.block).items():
         if loop.gain * GAIN_MIN > 1.0:
-            text = (
-                f"{_entry(it, 'field_weakening.bandwidth')}: the loop {name} has a gain margin of {1 / loop.gain:.2f}"
-            )
+            entry = _entry(design, "field_weakening.bandwidth")
+            text = f"{entry}: the loop {name} has a gain margin of {1 / loop.gain:.2f}"
             yield f"{text}, less than {GAIN_MIN:g}; lower it or field_weakening.current_use"
 
 
-def _rounding(it: Tuned) -> Iterator[str]:
-    for row in it.rows():
+def _rounding(design: Tuned) -> Iterator[str]:
+    for row in design.rows():
         lost = abs(row.used / row.designed - 1.0)
         if lost > ROUNDING_MAX:
-            value = f"{it.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
+            value = f"{design.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
             yield f"{value}: rounding to an integer changes it by {100.0 * lost:.0f} %; choose a larger value"
 
 
-def _sign(it: Tuned) -> Iterator[str]:
+def _sign(design: Tuned) -> Iterator[str]:
     """Warn if a current can reverse during the dead time, in which only the bus voltage drives it."""
-    axis, board = it.axis, it.board
+    axis, board = design.axis, design.board
     minimum = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
     if axis("sensing.sign_current") < minimum:
         text = f"the current of this winding can change by {minimum:.3g} A during a dead time and reverse"
-        yield f"{_entry(it, 'sensing.sign_current')}: {text}; write about {SIGN_FACTOR * minimum:.2g}"
+        yield f"{_entry(design, 'sensing.sign_current')}: {text}; write about {SIGN_FACTOR * minimum:.2g}"
 
 
-def _follows(it: Tuned) -> Iterator[str]:
-    axis = it.axis
+def _follows(design: Tuned) -> Iterator[str]:
+    axis = design.axis
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * math.radians(axis("rotor_search.turn_angle"))
     seen = flux / axis("rotor_search.turn_time")
     if seen < FOLLOW_VOLTAGE_MIN:
         text = f"a following rotor gives {1e3 * seen:.2g} mV, below the error by dead time and switch drops"
-        yield f"{_entry(it, 'rotor_search.turn_time')}: {text}; write about {flux / FOLLOW_VOLTAGE_RECOMMENDED:.2g}"
+        yield f"{_entry(design, 'rotor_search.turn_time')}: {text}; write about {flux / FOLLOW_VOLTAGE_RECOMMENDED:.2g}"
 
 
-def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
-    found, start_up = figures.sensorless, it.sensorless.start_up
+def _sensorless(design: Tuned, figures: Assessment) -> Iterator[str]:
+    found, start_up = figures.sensorless, design.sensorless.start_up
     if found.trouble is not None:
-        yield f"{it.axis.name}.feedback: operation without encoder is not possible: {found.trouble}"
+        yield f"{design.axis.name}.feedback: operation without encoder is not possible: {found.trouble}"
         return
     if start_up.torque > START_UP_TORQUE_MAX:
-        entry = _entry(it, "start_up.current_first")
+        entry = _entry(design, "start_up.current_first")
         share = f"{100.0 * start_up.torque:.0f} % of the torque of its current"
         yield f"{entry}: the start-up needs {share}; raise start_up.swings"
-    yield from _back_emf(it, found)
+    yield from _back_emf(design, found)
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
             text = f"with R x {case.r_s:g} and L x {case.inductance:g} the gains of the observer are unstable"
-            yield f"{it.axis.name}.observer at {case.speed:g} rad/s: {text}; lower observer.bandwidth"
-    if needs_observer(it.axis):
-        yield from _observed_speed(it, figures)
+            yield f"{design.axis.name}.observer at {case.speed:g} rad/s: {text}; lower observer.bandwidth"
+    if needs_observer(design.axis):
+        yield from _observed_speed(design, figures)
 
 
-def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
-    limit = it.axis("limits.speed")
+def _back_emf(design: Tuned, found: SensorlessFigures) -> Iterator[str]:
+    limit = design.axis("limits.speed")
     if found.blind_speed > BLIND_SPEED_MAX * limit:
         hidden = (
             f"below {found.blind_speed:.3g} rad/s the drop of limits.current in a warm winding exceeds the back-EMF"
         )
-        yield f"{_entry(it, 'motor.r_s')}: sensorless, {hidden} in braking; lower limits.current, or use the encoder"
+        entry = _entry(design, "motor.r_s")
+        yield f"{entry}: sensorless, {hidden} in braking; lower limits.current, or use the encoder"
     part = found.unexplained_speed / limit
-    if it.axis("observer.pll_size") * part > PLL_SIZE_MAX:
+    if design.axis("observer.pll_size") * part > PLL_SIZE_MAX:
         text = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s"
-        yield f"{_entry(it, 'observer.pll_size')}: {text}; write about {PLL_SIZE_RECOMMENDED / part:.2g}"
-    if found.unexplained_speed > SPEED_ERROR_MAX * it.sensorless.start_up.minimum_speed:
+        yield f"{_entry(design, 'observer.pll_size')}: {text}; write about {PLL_SIZE_RECOMMENDED / part:.2g}"
+    if found.unexplained_speed > SPEED_ERROR_MAX * design.sensorless.start_up.minimum_speed:
         text = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s, sensorless"
-        yield f"{_entry(it, 'start_up.minimum_speed')}: {text}; write about {part / SPEED_ERROR_RECOMMENDED:.2g}"
+        yield f"{_entry(design, 'start_up.minimum_speed')}: {text}; write about {part / SPEED_ERROR_RECOMMENDED:.2g}"
 
 
-def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
+def _observed_speed(design: Tuned, figures: Assessment) -> Iterator[str]:
     for lock in figures.sensorless.locks:
         phase = lock.speed_margins.phase
         if phase is not None and phase < PHASE_MIN:
             text = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
-            yield f"{_entry(it, 'observer.speed_part')}: {text}, less than {PHASE_MIN:g}; lower it"
+            yield f"{_entry(design, 'observer.speed_part')}: {text}, less than {PHASE_MIN:g}; lower it"
     lock = figures.sensorless.locks[0]
-    if lock.back_emf < it.axis("emf_check.spin_floor"):
+    if lock.back_emf < design.axis("emf_check.spin_floor"):
         text = f"the back-EMF of {lock.back_emf:.2g} V at {lock.speed:.3g} rad/s is below emf_check.spin_floor"
-        yield f"{_entry(it, 'start_up.minimum_speed')}: {text}; raise it"
+        yield f"{_entry(design, 'start_up.minimum_speed')}: {text}; raise it"

@@ -37,9 +37,9 @@ def draw(reports: Sequence[AxisReport], path: Path) -> None:
 Response = Callable[[Omega], NDArray[np.complex128]]
 
 
-def _open_loops(it: Tuned) -> list[tuple[str, Response, float]]:
+def _open_loops(design: Tuned) -> list[tuple[str, Response, float]]:
     """Name, frequency response and highest frequency [rad/s]."""
-    current, shaft, nyquist = it.current_loop("q").open, it.shaft(), math.pi / it.board.tick
+    current, shaft, nyquist = design.current_loop("q").open, design.shaft(), math.pi / design.board.tick
     return [
         ("current q", current.response, current.nyquist),
         ("speed", shaft.speed_open, nyquist),
@@ -61,8 +61,8 @@ def _degrees(response: Any) -> Any:
     return np.degrees(np.unwrap(np.angle(response)))
 
 
-def _open_gain(plot: Any, it: Tuned) -> None:
-    for name, response, nyquist in _open_loops(it):
+def _open_gain(plot: Any, design: Tuned) -> None:
+    for name, response, nyquist in _open_loops(design):
         _spectrum(plot, name, response, nyquist, _decibels)
     plot.axhline(0.0, color="black", linewidth=0.6)
     plot.set_ylim(-40.0, 60.0)
@@ -70,8 +70,8 @@ def _open_gain(plot: Any, it: Tuned) -> None:
     plot.set_title("open loops")
 
 
-def _open_phase(plot: Any, it: Tuned) -> None:
-    for name, response, nyquist in _open_loops(it):
+def _open_phase(plot: Any, design: Tuned) -> None:
+    for name, response, nyquist in _open_loops(design):
         _spectrum(plot, name, response, nyquist, _degrees)
     plot.axhline(-180.0, color="black", linewidth=0.6)
     plot.set_ylim(-360.0, 0.0)
@@ -79,10 +79,10 @@ def _open_phase(plot: Any, it: Tuned) -> None:
     plot.set_title("open loops")
 
 
-def _closed_gain(plot: Any, it: Tuned) -> None:
-    shaft = it.shaft()
+def _closed_gain(plot: Any, design: Tuned) -> None:
+    shaft = design.shaft()
     for name, loop in (
-        ("current q", it.current_loop("q").closed),
+        ("current q", design.current_loop("q").closed),
         ("speed", shaft.speed.channel(Out.SPEED, In.SET_POINT)),
         ("position", shaft.position.channel(Out.ANGLE, In.SET_POINT)),
     ):
@@ -92,40 +92,40 @@ def _closed_gain(plot: Any, it: Tuned) -> None:
     plot.set_title("closed loops")
 
 
-def _speed_step(plot: Any, it: Tuned) -> None:
-    ticks = math.ceil(8.0 / it.axis("control.speed_bandwidth") / it.board.tick)
+def _speed_step(plot: Any, design: Tuned) -> None:
+    ticks = math.ceil(8.0 / design.axis("control.speed_bandwidth") / design.board.tick)
     u = np.zeros((ticks, len(In)))
     u[:, In.SET_POINT] = 1.0
     for factor in INERTIAS:
-        speed = it.shaft(factor).speed.simulate(u)[:, Out.SPEED]
-        plot.plot(1e3 * it.board.tick * np.arange(ticks), speed, label=f"inertia x {factor:g}", linewidth=1.1)
+        speed = design.shaft(factor).speed.simulate(u)[:, Out.SPEED]
+        plot.plot(1e3 * design.board.tick * np.arange(ticks), speed, label=f"inertia x {factor:g}", linewidth=1.1)
     plot.set_ylim(-0.5, 2.5)
     plot.set_xlabel("time [ms]")
     plot.set_ylabel("speed")
     plot.set_title("step of the speed set-point")
 
 
-def _load_step(plot: Any, it: Tuned) -> None:
-    ticks = math.ceil(8.0 / it.axis("control.position_gain") / it.board.tick)
-    torque = it.axis.torque_constant * it.axis("motor.rated_current")
+def _load_step(plot: Any, design: Tuned) -> None:
+    ticks = math.ceil(8.0 / design.axis("control.position_gain") / design.board.tick)
+    torque = design.axis.torque_constant * design.axis("motor.rated_current")
     u = np.zeros((ticks, len(In)))
     u[:, In.LOAD] = torque
     for factor in INERTIAS:
-        angle = it.shaft(factor).position.simulate(u)[:, Out.ANGLE] * it.axis.counts / (2.0 * math.pi)
-        plot.plot(1e3 * it.board.tick * np.arange(ticks), angle, label=f"inertia x {factor:g}", linewidth=1.1)
+        angle = design.shaft(factor).position.simulate(u)[:, Out.ANGLE] * design.axis.counts / (2.0 * math.pi)
+        plot.plot(1e3 * design.board.tick * np.arange(ticks), angle, label=f"inertia x {factor:g}", linewidth=1.1)
     plot.set_xlabel("time [ms]")
     plot.set_ylabel("deflection [counts]")
     plot.set_title(f"step of the load, {torque:.3g} N m")
 
 
-def _observer_poles(plot: Any, it: Tuned) -> None:
+def _observer_poles(plot: Any, design: Tuned) -> None:
     circle = np.exp(1j * np.linspace(-0.6, 0.6, 200))
     plot.plot(circle.real, circle.imag, color="black", linewidth=0.6, label="unit circle")
-    if it.trouble is None:
-        p = it.axis("motor.pole_pairs")
-        speeds = p * np.linspace(0.0, it.axis("limits.speed"), 40)
+    if design.trouble is None:
+        p = design.axis("motor.pole_pairs")
+        speeds = p * np.linspace(0.0, design.axis("limits.speed"), 40)
         for r_s, inductance in WINDINGS:
-            observer = it.sensorless.observer.winding(r_s, inductance)
+            observer = design.sensorless.observer.winding(r_s, inductance)
             found = np.array([observer.poles(float(omega_e)) for omega_e in speeds]).ravel()
             label = f"R x {r_s:g}, L x {inductance:g}"
             plot.plot(found.real, found.imag, ".", markersize=3, label=label)
@@ -134,8 +134,8 @@ def _observer_poles(plot: Any, it: Tuned) -> None:
     plot.set_title("poles of the observer, from standstill to the speed limit")
 
 
-def _start_up(plot: Any, it: Tuned) -> None:
-    s = it.sensorless.start_up
+def _start_up(plot: Any, design: Tuned) -> None:
+    s = design.sensorless.start_up
     time = np.linspace(0.0, 1.3 * max(s.speed_time, s.current_time), 200)
     current = s.current_first + (s.current_final - s.current_first) * np.minimum(time / s.current_time, 1.0)
     speed = s.speed_final * np.minimum(time / s.speed_time, 1.0)

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.tuning.checks import check
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.schema import unknown_name
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-AXIS_NAMES: Final = tuple(axis_name(axis) for axis in range(AXES))
 
 
 def load(path: Path, catalogue: Catalogue) -> Configuration:

@@ -42,9 +42,9 @@ def axis_reports(configuration: Configuration) -> list[AxisReport]:
     """
     result = []
     for axis in configuration.axes:
-        it = tuned(axis, configuration)
-        figures = assess(it)
-        result.append(AxisReport(it, figures, findings(it, figures)))
+        design = tuned(axis, configuration)
+        figures = assess(design)
+        result.append(AxisReport(design, figures, findings(design, figures)))
     return result
 
 
@@ -84,13 +84,13 @@ def text(reports: Iterable[AxisReport]) -> str:
 
 
 def _axis(report: AxisReport) -> Iterator[str]:
-    it, figures = report.tuned, report.figures
-    speed = "the speed observer" if it.observed else "M/T"
+    design, figures = report.tuned, report.figures
+    speed = "the speed observer" if design.observed else "M/T"
     yield f"{figures.name}: {len(report.findings) or 'no'} warning{'' if len(report.findings) == 1 else 's'}"
     yield f"    speed from {speed} after reset; position gain, moves and loads below use it"
     yield from (f"    WARNING {finding}" for finding in report.findings)
     yield "  gains"
-    yield from _gains(it)
+    yield from _gains(design)
     yield "  loops"
     yield from _loops(figures)
     for name in (loop.name for loop in figures.loops[2:]):
@@ -99,21 +99,21 @@ def _axis(report: AxisReport) -> Iterator[str]:
     yield "  position gain"
     yield from _rule(figures)
     yield "  moves and loads"
-    yield from _moves(it, figures)
+    yield from _moves(design, figures)
     yield "  winding"
-    yield from _winding(it)
+    yield from _winding(design)
     for observed, how in ((False, "M/T"), (True, "speed observer")):
         yield f"  same gains with other inertias, {how}"
         yield from _inertias(figures, observed)
     yield "  speed loop at low speed (rare encoder edges), M/T"
     yield from _edges(figures)
-    yield from field_weakening_text(it.axis, it.board, it.block)
-    yield from sensorless_text(it, figures.sensorless)
+    yield from field_weakening_text(design.axis, design.board, design.block)
+    yield from sensorless_text(design, figures.sensorless)
 
 
-def _gains(it: Tuned) -> Iterator[str]:
+def _gains(design: Tuned) -> Iterator[str]:
     rows = [("", "designed", "as used", "", "integer")]
-    rows += [(row.name, f"{row.designed:.6g}", f"{row.used:.6g}", row.unit, str(row.raw)) for row in it.rows()]
+    rows += [(row.name, f"{row.designed:.6g}", f"{row.used:.6g}", row.unit, str(row.raw)) for row in design.rows()]
     return table(rows)
 
 
@@ -159,9 +159,9 @@ def _rule(figures: Assessment) -> Iterator[str]:
     return notes(rows)
 
 
-def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
+def _moves(design: Tuned, figures: Assessment) -> Iterator[str]:
     reach, arrival, load = figures.reach, figures.arrival, figures.load_step
-    axis, counts = it.axis, it.axis.counts / (2.0 * math.pi)
+    axis, counts = design.axis, design.axis.counts / (2.0 * math.pi)
     limit, speed = axis("limits.current"), axis("limits.speed")
     feature = ", ".join(key for key, on in axis.features.items() if on)
     rows = [
@@ -173,7 +173,7 @@ def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
         ("current of the path", f"{reach.path_current:.2f} A", f"of {limit:g} A"),
         ("current of the speed ramp", f"{reach.ramp_current:.2f} A", f"{axis('limits.acceleration'):g} rad/s^2"),
         ("current against friction", f"{reach.friction_current:.3f} A", f"at {speed:g} rad/s"),
-        ("top speed, no load", f"{reach.speed_idle:.4g} rad/s", f"at {it.board('nominal_voltage'):g} V"),
+        ("top speed, no load", f"{reach.speed_idle:.4g} rad/s", f"at {design.board('nominal_voltage'):g} V"),
         ("top speed, rated current", f"{reach.speed_rated:.4g} rad/s", f"{axis('motor.rated_current'):g} A"),
         ("lag at the speed limit", f"{arrival.lag:.3f} rad", f"at {speed:g} rad/s, without speed_forward"),
         ("overshoot, bare step", f"{100.0 * arrival.bare:.2f} %", "of a position step without shaping"),
@@ -189,8 +189,8 @@ def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
     return notes(rows)
 
 
-def _winding(it: Tuned) -> Iterator[str]:
-    axis, model = it.axis, Winding.of(it.axis)
+def _winding(design: Tuned) -> Iterator[str]:
+    axis, model = design.axis, Winding.of(design.axis)
     current, celsius = model.settled()
     given = "" if axis.given("winding.thermal_resistance") else "from motor.rated_current and winding.maximum"
     full = f"{model.current:g} A from {model.ambient:g} deg C"

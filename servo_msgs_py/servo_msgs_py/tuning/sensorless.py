@@ -23,7 +23,8 @@ from servo_msgs_py.tuning.configuration import Axis, Board
 from servo_msgs_py.tuning.gains import Pi, speed_pi
 
 ST_I_PER_SPEED: Final = 60.0 / 2.0**19
-"""omega_n^2 / omega_e per unit of the number in the rule of the ST document (slide "PLL 闭环系数计算").
+"""omega_n^2 / omega_e per unit of the number in the rule of the ST document (slide "Calculation of the closed-loop
+coefficients of the PLL").
 
 The library computes ``P err / 2^14 + sum(I err) / 2^18``, 2^16 a turn, per period; err = 2^15 sin(delta) if the
 back-EMF has the amplitude at f_max, and I = 1506742 f_max / f_s^2 with f_max in electrical turns per minute. f_max and

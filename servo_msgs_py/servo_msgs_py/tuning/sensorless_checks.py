@@ -1,4 +1,4 @@
-"""Refusals of sensorless configurations that do not depend on the gains."""
+"""Refusals of sensorless configurations: observer, PLL, reliability, start-up."""
 
 from __future__ import annotations
 
@@ -92,22 +92,24 @@ def _poles(axis: Axis, board: Board, locked: float) -> None:
     typed = axis.given("observer.k_1")
     entry = "observer.k_2" if typed else "observer.damping"
     remedy = "lower it, or the magnitude of k_1" if typed else "write 1"
-    it = BackEmfObserver.of(axis, board)
+    observer = BackEmfObserver.of(axis, board)
     slowest = math.exp(-2.0 * math.pi * OBSERVER_TO_PLL_MIN * locked * board.period)
     for where, omega_e in (("standstill", 0.0), (f"{axis('limits.speed'):g} rad/s", _top(axis))):
-        radius = it.radius(omega_e)
+        radius = observer.radius(omega_e)
         if not radius < 1.0:
             reason = f"at {where} a pole of the observer has the magnitude {radius:.3f}, outside the unit circle"
             raise axis.refused(entry, reason, remedy)
         if radius > slowest and (typed or omega_e == 0.0):
-            reason = f"at {where} a pole of the observer has the magnitude {radius:.4f}, too near to the unit circle"
-            way = f"above {slowest:.4f} it is slower than {OBSERVER_TO_PLL_MIN:g} times the PLL ({locked:.3g} Hz)"
+            reason = (
+                f"at {where} a pole of the observer has the magnitude {radius:.4f}; it must be below {slowest:.4f}: "
+                f"{OBSERVER_TO_PLL_MIN:g} times the natural frequency of the PLL, {locked:.3g} Hz"
+            )
             remedy = (
                 "raise it, or the magnitude of k_1, or write observer.bandwidth"
                 if typed
                 else "lower it, or raise bandwidth"
             )
-            raise axis.refused(entry, f"{reason}: {way}", remedy)
+            raise axis.refused(entry, reason, remedy)
 
 
 def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:
@@ -132,7 +134,7 @@ def _reliability(axis: Axis) -> None:
         raise axis.refused("reliability.variance_threshold", reason, "write about 0.06")
 
 
-def _ramps(axis: Axis, it: StartUp) -> None:
+def _ramps(axis: Axis, start_up: StartUp) -> None:
     """Check the current limit, and that the rotor can follow the ramp."""
     along = max(axis(f"start_up.current_{key}") for key in ("first", "final"))
     across = axis("start_up.current_final") * axis("start_up.swing_current")
@@ -142,20 +144,21 @@ def _ramps(axis: Axis, it: StartUp) -> None:
         remedy = "lower it, or start_up.current_first and current_final"
         raise axis.refused("start_up.swing_current", reason, remedy)
     entry = "start_up.speed_time" if axis.given("start_up.speed_time") else "start_up.swings"
-    friction = axis("friction.coulomb") + axis("friction.viscous") * it.speed_final
-    minimum = axis.torque_constant * min(it.current_first, it.current_final)
+    friction = axis("friction.coulomb") + axis("friction.viscous") * start_up.speed_final
+    minimum = axis.torque_constant * min(start_up.current_first, start_up.current_final)
     if friction >= minimum:
-        key = "first" if it.current_first <= it.current_final else "final"
+        key = "first" if start_up.current_first <= start_up.current_final else "final"
         reason = f"its torque of {minimum:.3g} N m does not overcome the friction, {friction:.3g} N m"
         raise axis.refused(f"start_up.current_{key}", reason, "raise it, or limits.current, or correct friction")
-    if it.torque >= 1.0:
-        required = f"{it.speed_final:.3g} rad/s in {it.speed_time:.3g} s require {it.acceleration:.4g} rad/s^2"
-        reason = f"{required}, with friction {it.torque:.3g} times the torque of the start-up current"
+    if start_up.torque >= 1.0:
+        speed, seconds = start_up.speed_final, start_up.speed_time
+        required = f"{speed:.3g} rad/s in {seconds:.3g} s require {start_up.acceleration:.4g} rad/s^2"
+        reason = f"{required}, with friction {start_up.torque:.3g} times the torque of the start-up current"
         remedy = "raise it or the start_up currents, or correct motor.inertia"
         raise axis.refused(entry, reason, remedy)
 
 
-def _criterion(axis: Axis, board: Board, it: StartUp) -> None:
+def _criterion(axis: Axis, board: Board, start_up: StartUp) -> None:
     """Check that the conditions of the start-up criterion do not contradict each other."""
     if axis("start_up.mean_max") <= 1.0:
         reason = "not above 1, the value of a following rotor"
@@ -164,12 +167,11 @@ def _criterion(axis: Axis, board: Board, it: StartUp) -> None:
         reason = "not below 1, the value of a following rotor"
         raise axis.refused("start_up.mean_min", reason, "write 0.8, the value of the ST document")
     if axis("start_up.minimum_speed") >= axis("start_up.mean_min") * axis("start_up.speed_final"):
-        passing = axis("start_up.mean_min") * it.speed_final
-        reason = (
-            f"{it.minimum_speed:.4g} rad/s, not below start_up.mean_min at the end of the ramp, {passing:.4g} rad/s"
-        )
+        passing = axis("start_up.mean_min") * start_up.speed_final
+        minimum = start_up.minimum_speed
+        reason = f"{minimum:.4g} rad/s, not below start_up.mean_min at the end of the ramp, {passing:.4g} rad/s"
         raise axis.refused("start_up.minimum_speed", reason, "lower it, or raise start_up.speed_final")
     whole = (SPEEDS + axis("start_up.consecutive_tests")) * axis("reliability.period") * board.tick
-    if whole > it.time_max:
-        reason = f"{SPEEDS} speeds and the tests take {whole:.3g} s; the start-up fails after {it.time_max:.3g} s"
+    if whole > start_up.time_max:
+        reason = f"{SPEEDS} speeds and the tests take {whole:.3g} s; the start-up fails after {start_up.time_max:.3g} s"
         raise axis.refused("start_up.wait_max", reason, "raise it, or lower reliability.period")

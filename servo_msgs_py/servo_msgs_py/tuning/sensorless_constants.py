@@ -78,22 +78,22 @@ def _off(axis: Axis) -> dict[str, Field]:
     return fields | {"feedback": FEEDBACKS.index(axis.feedback), "observed_speed": PiRaw(0, 0, 0)}
 
 
-def _observer(to: Converter, it: BackEmfObserver) -> dict[str, Field]:
+def _observer(to: Converter, observer: BackEmfObserver) -> dict[str, Field]:
     admittance = to.s.u_s / to.s.i
     loss = to.of(
-        LOSS, "R T / L of the observer", 1.0 - it.a, f"the current decays within one sampling period: {_WINDING}"
+        LOSS, "R T / L of the observer", 1.0 - observer.a, f"the current decays within one sampling period: {_WINDING}"
     )
-    f1 = min(F2, math.ceil(F2 - 1 - math.log2(it.b * admittance)) - 1)  # the largest with a factor below 1/2
+    f1 = min(F2, math.ceil(F2 - 1 - math.log2(observer.b * admittance)) - 1)  # the largest with a factor below 1/2
     if f1 < F1_MIN:
         name = f"{to.axis.name}: current by full voltage in one period"
-        raise ConfigError(f"{name} = {it.b * admittance:g} full scales: the observer cannot follow; {_WINDING}")
+        raise ConfigError(f"{name} = {observer.b * admittance:g} full scales: the observer cannot follow; {_WINDING}")
     return {
         "observer.f1": f1,
         "observer.f2": F2,
         "observer.loss": loss,
-        "observer.drive": to.of(DRIVE, "T / L of the observer", math.ldexp(it.b * admittance, f1 - F2), _WINDING),
-        "observer.k1": to.of(K1, "observer K1 T", it.k1, _SLOWER),
-        "observer.k2": to.of(K2, "observer K2 T", math.ldexp(it.k2 / admittance, F2 - f1), _SLOWER),
+        "observer.drive": to.of(DRIVE, "T / L of the observer", math.ldexp(observer.b * admittance, f1 - F2), _WINDING),
+        "observer.k1": to.of(K1, "observer K1 T", observer.k1, _SLOWER),
+        "observer.k2": to.of(K2, "observer K2 T", math.ldexp(observer.k2 / admittance, F2 - f1), _SLOWER),
     }
 
 
@@ -174,28 +174,30 @@ def _reliability(to: Converter) -> dict[str, Field]:
     }
 
 
-def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
+def _start_up(to: Converter, start_up: StartUp) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
-    slew = (it.current_final - it.current_first) / s.i * board.tick / it.current_time
-    speed_step = it.speed_final / s.speed * board.tick / it.speed_time
-    across = it.current_final * axis("start_up.swing_current") / s.i
+    slew = (start_up.current_final - start_up.current_first) / s.i * board.tick / start_up.current_time
+    speed_step = start_up.speed_final / s.speed * board.tick / start_up.speed_time
+    across = start_up.current_final * axis("start_up.swing_current") / s.i
     fade = axis("limits.current") / s.i * board.tick / axis("start_up.fade_time")
     current, ramp = "write a fraction of limits.current", "write a shorter ramp of the speed"
     gentler = "lower start_up.swing_damping"
     return {
-        "startup.first_current": to.of(FRAC16, "start_up.current_first", it.current_first / s.i, current),
-        "startup.final_current": to.of(FRAC16, "start_up.current_final", it.current_final / s.i, current),
+        "startup.first_current": to.of(FRAC16, "start_up.current_first", start_up.current_first / s.i, current),
+        "startup.final_current": to.of(FRAC16, "start_up.current_final", start_up.current_final / s.i, current),
         "startup.current_step": to.of(
             SLEW, "change of the start-up current per slow tick", slew, "correct current_time"
         ),
-        "startup.final_speed": to.of(FRAC32, "start_up.speed_final", it.speed_final / s.speed, "correct limits.speed"),
+        "startup.final_speed": to.of(
+            FRAC32, "start_up.speed_final", start_up.speed_final / s.speed, "correct limits.speed"
+        ),
         "startup.speed_step": to.of(FRAC32, "change of the forced speed per slow tick", speed_step, ramp),
-        "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", it.time_max / board.tick, ramp),
+        "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", start_up.time_max / board.tick, ramp),
         "startup.tests": to.at(UINT16, "start_up.consecutive_tests", 1.0),
-        "startup.minimum_speed": to.of(FRAC32, "start_up.minimum_speed", it.minimum_speed / s.speed, "raise it"),
+        "startup.minimum_speed": to.of(FRAC32, "start_up.minimum_speed", start_up.minimum_speed / s.speed, "raise it"),
         "startup.mean_min": to.at(UINT16_Q14, "start_up.mean_min", 1.0),
         "startup.mean_max": to.at(UINT16_Q14, "start_up.mean_max", 1.0),
-        "startup.damping": to.of(GAIN, "damping of the oscillation", it.damping * s.u_s / s.i, gentler),
+        "startup.damping": to.of(GAIN, "damping of the oscillation", start_up.damping * s.u_s / s.i, gentler),
         "startup.damping_limit": to.of(
             FRAC16, "start_up.swing_current", across, "write a fraction of the final current"
         ),

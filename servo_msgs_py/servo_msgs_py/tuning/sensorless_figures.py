@@ -76,60 +76,60 @@ class SensorlessFigures:
     [rad/s]: during braking the observed angle reverses."""
 
 
-def sensorless_figures(it: Tuned) -> SensorlessFigures:
+def sensorless_figures(design: Tuned) -> SensorlessFigures:
     """Compute all figures."""
-    if it.trouble is not None:
-        return SensorlessFigures(it.axis.feedback, str(it.trouble), (), (), ())
+    if design.trouble is not None:
+        return SensorlessFigures(design.axis.feedback, str(design.trouble), (), (), ())
     return SensorlessFigures(
-        it.axis.feedback,
+        design.axis.feedback,
         None,
-        tuple(_poles(it)),
-        tuple(_errors(it)),
-        tuple(_lock(it, speed) for speed in _speeds(it)),
-        _speed_of(it, it.axis("emf_check.floor")),
-        _speed_of(it, (WARM - 1.0) * it.axis("motor.r_s") * it.axis("limits.current")),
+        tuple(_poles(design)),
+        tuple(_errors(design)),
+        tuple(_lock(design, speed) for speed in _speeds(design)),
+        _speed_of(design, design.axis("emf_check.floor")),
+        _speed_of(design, (WARM - 1.0) * design.axis("motor.r_s") * design.axis("limits.current")),
     )
 
 
-def _speed_of(it: Tuned, back_emf: float) -> float:
-    return back_emf / (it.axis("motor.pole_pairs") * it.axis("motor.psi_m"))
+def _speed_of(design: Tuned, back_emf: float) -> float:
+    return back_emf / (design.axis("motor.pole_pairs") * design.axis("motor.psi_m"))
 
 
-def _speeds(it: Tuned) -> list[float]:
-    minimum, maximum = it.sensorless.start_up.minimum_speed, it.axis("limits.speed")
+def _speeds(design: Tuned) -> list[float]:
+    minimum, maximum = design.sensorless.start_up.minimum_speed, design.axis("limits.speed")
     return [*(factor * minimum for factor in SPEEDS if factor * minimum < maximum), maximum]
 
 
-def _poles(it: Tuned) -> Iterator[ObserverPoles]:
-    p, top = it.axis("motor.pole_pairs"), it.axis("limits.speed")
+def _poles(design: Tuned) -> Iterator[ObserverPoles]:
+    p, top = design.axis("motor.pole_pairs"), design.axis("limits.speed")
     for r_s, inductance in WINDINGS:
-        observer = it.sensorless.observer.winding(r_s, inductance)
+        observer = design.sensorless.observer.winding(r_s, inductance)
         for speed in (0.0, top):
             found = tuple(
-                pole_of(z if abs(z) > POLE_MIN else POLE_MIN, it.board.period) for z in observer.poles(p * speed)
+                pole_of(z if abs(z) > POLE_MIN else POLE_MIN, design.board.period) for z in observer.poles(p * speed)
             )
             yield ObserverPoles(r_s, inductance, speed, found)
 
 
-def _errors(it: Tuned) -> Iterator[AngleError]:
-    p, current = it.axis("motor.pole_pairs"), it.axis("motor.rated_current")
+def _errors(design: Tuned) -> Iterator[AngleError]:
+    p, current = design.axis("motor.pole_pairs"), design.axis("motor.rated_current")
     for r_s, inductance in WINDINGS:
-        for speed in (it.sensorless.start_up.minimum_speed, it.axis("limits.speed")):
-            radians = angle_error(it.axis, p * speed, current, r_s, inductance)
+        for speed in (design.sensorless.start_up.minimum_speed, design.axis("limits.speed")):
+            radians = angle_error(design.axis, p * speed, current, r_s, inductance)
             yield AngleError(r_s, inductance, speed, math.degrees(radians))
 
 
-def _lock(it: Tuned, speed: float) -> Lock:
-    omega_e = it.axis("motor.pole_pairs") * speed
-    pll = it.sensorless.pll
-    stable = [spectral_radius(it.sensorless_shaft(speed, factor).speed_alone) < 1.0 for factor in (0.5, 2.0)]
+def _lock(design: Tuned, speed: float) -> Lock:
+    omega_e = design.axis("motor.pole_pairs") * speed
+    pll = design.sensorless.pll
+    stable = [spectral_radius(design.sensorless_shaft(speed, factor).speed_alone) < 1.0 for factor in (0.5, 2.0)]
     return Lock(
         speed=speed,
-        back_emf=it.axis("motor.psi_m") * omega_e,
+        back_emf=design.axis("motor.psi_m") * omega_e,
         frequency=pll.omega_n(omega_e) / (2.0 * np.pi),
         damping=pll.damping,
         slide_damping=st_damping(omega_e),
-        speed_margins=it.sensorless_shaft(speed).speed_margins(),
+        speed_margins=design.sensorless_shaft(speed).speed_margins(),
         half_inertia=stable[0],
         twice_inertia=stable[1],
     )

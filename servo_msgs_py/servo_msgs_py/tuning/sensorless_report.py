@@ -11,14 +11,14 @@ from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
 from servo_msgs_py.tuning.tuned import Tuned
 
 
-def sensorless_text(it: Tuned, figures: SensorlessFigures) -> Iterator[str]:
+def sensorless_text(design: Tuned, figures: SensorlessFigures) -> Iterator[str]:
     """Sections about the observer of the back-EMF, the PLL and the start-up."""
     yield f"  without an encoder (feedback after reset: {figures.feedback})"
     if figures.trouble is not None:
         yield f"    NOT POSSIBLE {figures.trouble}"
         return
-    observer, constants = it.sensorless.observer, it.constants
-    rates = [value / it.board.period for value in (observer.k1, observer.k2)]
+    observer, constants = design.sensorless.observer, design.constants
+    rates = [value / design.board.period for value in (observer.k1, observer.k2)]
     yield from notes(
         [
             (
@@ -30,15 +30,15 @@ def sensorless_text(it: Tuned, figures: SensorlessFigures) -> Iterator[str]:
         ]
     )
     blind = f"below {figures.blind_speed:.4g} rad/s the drop of limits.current in a warm winding exceeds it (braking)"
-    yield from notes([("back-EMF", f"{it.axis('motor.pole_pairs') * it.axis('motor.psi_m'):.4g} V s", blind)])
+    yield from notes([("back-EMF", f"{design.axis('motor.pole_pairs') * design.axis('motor.psi_m'):.4g} V s", blind)])
     yield "  observer poles; K1 and K2 as above, other windings"
     yield from _poles(figures)
-    yield f"  error of the observed angle at {it.axis('motor.rated_current'):g} A with other windings"
+    yield f"  error of the observed angle at {design.axis('motor.rated_current'):g} A with other windings"
     yield from _errors(figures)
     yield "  phase-locked loop and sensorless speed loop"
     yield from _locks(figures)
     yield "  start-up"
-    yield from _start_up(it)
+    yield from _start_up(design)
 
 
 def _winding(r_s: float, inductance: float) -> str:
@@ -102,12 +102,12 @@ def _locks(figures: SensorlessFigures) -> Iterator[str]:
     return table(rows)
 
 
-def _start_up(it: Tuned) -> Iterator[str]:
-    s = it.sensorless.start_up
+def _start_up(design: Tuned) -> Iterator[str]:
+    s = design.sensorless.start_up
     share = f"with friction {100.0 * s.torque:.0f} % of the torque of the current, at most"
-    mean = [it.axis(f"start_up.mean_{key}") * s.speed_final for key in ("min", "max")]
-    fifo = 64.0 * it.axis("reliability.period") * it.board.tick
-    tests = f"{it.axis('start_up.consecutive_tests'):g} tests in a row"
+    mean = [design.axis(f"start_up.mean_{key}") * s.speed_final for key in ("min", "max")]
+    fifo = 64.0 * design.axis("reliability.period") * design.board.tick
+    tests = f"{design.axis('start_up.consecutive_tests'):g} tests in a row"
     return notes(
         [
             ("current", f"{s.current_first:.3g} .. {s.current_final:.3g} A", f"in {s.current_time:.3g} s"),

@@ -76,8 +76,8 @@ class Tuned:
         assert isinstance(ki, int)
         assert isinstance(speed, PiRaw)
         top = self.axis("motor.pole_pairs") * self.axis("limits.speed")
-        gains = [2.0 * it.pll.damping * it.pll.omega_n(top) for it in (designed, used)]
-        squares = [it.pll.rate * top for it in (designed, used)]
+        gains = [2.0 * design.pll.damping * design.pll.omega_n(top) for design in (designed, used)]
+        squares = [design.pll.rate * top for design in (designed, used)]
         yield GainRow("observer K1", "1/s", designed.observer.k1 / period, used.observer.k1 / period, k1)
         yield GainRow("observer K2", "V/(A s)", designed.observer.k2 / period, used.observer.k2 / period, k2)
         yield GainRow("PLL Kp at the speed limit", "1/s", gains[0], gains[1], kp)
@@ -205,22 +205,22 @@ class _Used:
         )
 
 
-def _refuse_unstable(it: Tuned) -> None:
-    current = max(spectral_radius(it.current_loop(which).closed.a) for which in "dq")
-    _refuse_radius(it, "control.current_bandwidth", current, "the sampled loop")
+def _refuse_unstable(design: Tuned) -> None:
+    current = max(spectral_radius(design.current_loop(which).closed.a) for which in "dq")
+    _refuse_radius(design, "control.current_bandwidth", current, "the sampled loop")
     for observed, how in ((False, "the sampled loop"), (True, "with the speed observer the sampled loop")):
-        shaft = it.shaft(observed=observed)
+        shaft = design.shaft(observed=observed)
         speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
-        _refuse_radius(it, speed, spectral_radius(shaft.speed_alone), how)
-        _refuse_radius(it, "control.position_gain", spectral_radius(shaft.position.a), how)
-    if it.trouble is None:
-        for turning in (it.sensorless.start_up.minimum_speed, it.axis("limits.speed")):
-            radius = spectral_radius(it.sensorless_shaft(turning).speed_alone)
+        _refuse_radius(design, speed, spectral_radius(shaft.speed_alone), how)
+        _refuse_radius(design, "control.position_gain", spectral_radius(shaft.position.a), how)
+    if design.trouble is None:
+        for turning in (design.sensorless.start_up.minimum_speed, design.axis("limits.speed")):
+            radius = spectral_radius(design.sensorless_shaft(turning).speed_alone)
             how = f"at {turning:.3g} rad/s the sensorless speed loop"
-            _refuse_radius(it, "observer.speed_part", radius, how)
+            _refuse_radius(design, "observer.speed_part", radius, how)
 
 
-def _refuse_radius(it: Tuned, path: str, radius: float, how: str) -> None:
+def _refuse_radius(design: Tuned, path: str, radius: float, how: str) -> None:
     if radius >= 1.0:
         reason = f"{how} is unstable, its largest pole has the magnitude {radius:.3f}"
-        raise it.axis.refused(path, reason, "lower it, or correct the motor data")
+        raise design.axis.refused(path, reason, "lower it, or correct the motor data")

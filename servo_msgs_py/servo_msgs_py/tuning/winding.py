@@ -124,25 +124,27 @@ def check_winding(axis: Axis) -> None:
         raise axis.refused("winding.initial", reason, "write the highest temperature of the motor at a reset")
     if not axis.given("winding.thermal_resistance"):
         return
-    it = Winding.of(axis)
-    steady = it.equilibrium(it.rated)
-    if steady - it.ambient > _FIT * (it.maximum - it.ambient):
-        reason = f"continuously it heats the winding to {steady:.4g} deg C, above winding.maximum = {it.maximum:g}"
+    winding = Winding.of(axis)
+    steady = winding.equilibrium(winding.rated)
+    if steady - winding.ambient > _FIT * (winding.maximum - winding.ambient):
+        reason = f"continuously it heats the winding to {steady:.4g} deg C, above winding.maximum = {winding.maximum:g}"
         remedy = "use a lower value, or omit winding.thermal_resistance if it is not known"
         raise axis.refused("motor.rated_current", reason, remedy)
 
 
 def winding_constants(to: Converter) -> dict[str, Field]:
     """Fields of ``winding_model_config_t``."""
-    s, it = to.s, Winding.of(to.axis)
+    s, winding = to.s, Winding.of(to.axis)
     step = STEP_TICKS * to.board.tick
     name, slower = "winding_model", "correct winding.heat_capacity or winding.thermal_resistance"
     degrees = ("ambient", "initial", "derating", "maximum", "fault")
     return {
         f"{name}.heating": to.of(
-            _HEAT, "heating of the winding", it.loss(s.i, COLD) * step / it.capacity / FULL, slower
+            _HEAT, "heating of the winding", winding.loss(s.i, COLD) * step / winding.capacity / FULL, slower
         ),
-        f"{name}.cooling": to.of(_HEAT, "cooling of the winding", step / (it.resistance * it.capacity), slower),
+        f"{name}.cooling": to.of(
+            _HEAT, "cooling of the winding", step / (winding.resistance * winding.capacity), slower
+        ),
         **{f"{name}.{key}": to.at(FRAC16, f"winding.{key}", 1.0 / FULL) for key in degrees},
         f"{name}.rated_current": to.at(FRAC16, "motor.rated_current", 1.0 / s.i),
     }

@@ -281,30 +281,30 @@ static void set_power(adc_t *adc, uint16_t value)
 uint16_t adc_read(void *peripheral, uint32_t address)
 {
     adc_t *adc = (adc_t *)peripheral;
-    const uint32_t r = address - ADC_BASE;
+    const uint32_t number = address - ADC_BASE;
     bus_check_gate(adc->bus, address, 2, 7);
     if (adc->waits != 0) {
         settle(adc);
     }
-    if (r >= RSLT0 && r < LOLIM0) {
-        const unsigned n = r - RSLT0;
+    if (number >= RSLT0 && number < LOLIM0) {
+        const unsigned n = number - RSLT0;
         adc->reg[RDY] = (uint16_t)(adc->reg[RDY] & ~(1u << n));
         if (adc->reg[SCHLTEN] != 0) {
             request(adc);
         }
         return adc->reg[RSLT0 + n];
     }
-    if (r >= LOLIM0 && r < OFFST0) {
+    if (number >= LOLIM0 && number < OFFST0) {
         bus_no_register(adc->bus, address);
     }
-    if (r == STAT) {
+    if (number == STAT) {
         return (uint16_t)(adc->reg[STAT] | (adc->converter[A].scanning ? 0x8000u : 0u) |
                           (adc->converter[together(adc) ? A : B].scanning ? 0x4000u : 0u));
     }
-    if (r == PWR) {
+    if (number == PWR) {
         return (uint16_t)(adc->reg[PWR] | (powered(adc, A) ? 0u : 0x0400u) | (powered(adc, B) ? 0u : 0x0800u));
     }
-    return adc->reg[r];
+    return adc->reg[number];
 }
 
 /* The channels of four samples. */
@@ -342,28 +342,28 @@ static void write_ctrl(adc_t *adc, uint32_t address, unsigned c, uint16_t value)
 void adc_write(void *peripheral, uint32_t address, uint16_t value)
 {
     adc_t *adc = (adc_t *)peripheral;
-    const uint32_t r = address - ADC_BASE;
+    const uint32_t number = address - ADC_BASE;
     bus_check_gate(adc->bus, address, 2, 7);
     settle(adc);
-    if (r >= OFFST0 && r < PWR) {
-        adc->reg[r] = value & 0x7FF8u;
+    if (number >= OFFST0 && number < PWR) {
+        adc->reg[number] = value & 0x7FF8u;
         return;
     }
-    if (r >= CLIST1 && r <= CLIST4) {
-        set_channels(adc, r - CLIST1, value);
+    if (number >= CLIST1 && number <= CLIST4) {
+        set_channels(adc, number - CLIST1, value);
         return;
     }
-    if (r >= LOLIM0 && r < HILIM0) {
+    if (number >= LOLIM0 && number < HILIM0) {
         bus_allow(adc->bus, address, value, 0, "limits are not modelled");
         return;
     }
-    if (r >= HILIM0 && r < OFFST0) {
+    if (number >= HILIM0 && number < OFFST0) {
         if (value != 0x7FF8) {
             bus_no_value(adc->bus, address, value, "limits are not modelled");
         }
         return;
     }
-    switch (r) {
+    switch (number) {
     case CTRL1:
         write_ctrl(adc, address, A, value);
         break;

@@ -91,7 +91,7 @@ typedef struct {
     void (*pins_routed)(void *chip); /* pins have other functions */
     void (*gate_pins_changed)(void *chip); /* so have those of the gates, or other levels */
     bool (*gate_level)(void *chip, unsigned module, unsigned submodule, unsigned side);
-    void (*need_bus_clock)(void *chip, const char *what); /* an error, unless the bus runs at CHIP_BUS_HZ */
+    void (*need_bus_clock)(void *chip, const char *part); /* an error, unless the bus runs at CHIP_BUS_HZ */
     void (*reset)(void *chip, reset_cause_t cause); /* does not return while software runs */
 } chip_signals_t;
 

@@ -146,7 +146,7 @@ static bool signal_gate_level(void *chip, unsigned module, unsigned submodule, u
     return ((chip_of(chip)->pwm.module[module].sub[submodule].levels >> side) & 1u) != 0;
 }
 
-static void signal_need_bus_clock(void *chip, const char *what) { occs_need_bus_clock(&chip_of(chip)->occs, what); }
+static void signal_need_bus_clock(void *chip, const char *part) { occs_need_bus_clock(&chip_of(chip)->occs, part); }
 
 CHIP_NORETURN static void signal_reset(void *self, reset_cause_t cause)
 {

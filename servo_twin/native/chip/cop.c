@@ -54,9 +54,9 @@ uint16_t cop_read(void *peripheral, uint32_t address)
 void cop_write(void *peripheral, uint32_t address, uint16_t value)
 {
     cop_t *cop = (cop_t *)peripheral;
-    const uint32_t r = address - COP_BASE;
+    const uint32_t number = address - COP_BASE;
     const bool locked = (cop->ctrl & COP_CWP) != 0;
-    if (r == COP_CNTR) {
+    if (number == COP_CNTR) {
         if (value == COP_SECOND_WORD && cop->half_served) {
             cop->services++;
             restart(cop);
@@ -65,14 +65,14 @@ void cop_write(void *peripheral, uint32_t address, uint16_t value)
         }
     } else if (locked) {
         return;
-    } else if (r == COP_CTRL) {
+    } else if (number == COP_CTRL) {
         bus_allow(cop->bus, address, value, 0x037F, "the interrupt of the watchdog is not modelled");
         const bool same = ((value ^ cop->ctrl) & ~COP_CWP) == 0;
         cop->ctrl = value;
         if (!same) {
             restart(cop);
         }
-    } else if (r == TOUT) {
+    } else if (number == TOUT) {
         if ((cop->ctrl & COP_CEN) != 0) {
             bus_no_value(cop->bus, address, value, "TOUT changes while the watchdog counts");
         }

@@ -45,10 +45,10 @@ static void set_access_time(occs_t *occs)
     occs->bus->access_clocks = (hz > 0) ? ACCESS_CYCLES * (uint64_t)CHIP_BUS_HZ / hz : ACCESS_CYCLES;
 }
 
-void occs_need_bus_clock(occs_t *occs, const char *what)
+void occs_need_bus_clock(occs_t *occs, const char *part)
 {
     if (!on_pll(occs) || bus_hz(occs) != CHIP_BUS_HZ) {
-        bus_fail(occs->bus, "%s starts while the bus clock is %.3f MHz; only 100 MHz is modelled", what,
+        bus_fail(occs->bus, "%s starts while the bus clock is %.3f MHz; only 100 MHz is modelled", part,
                  1e-6 * (double)bus_hz(occs));
     }
 }

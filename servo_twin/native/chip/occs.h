@@ -19,7 +19,7 @@ uint16_t occs_read(void *occs, uint32_t address);
 void occs_write(void *occs, uint32_t address, uint16_t value);
 void occs_reset(void *occs);
 
-/* End the run unless the bus clock is CHIP_BUS_HZ; `what` starts and needs it. */
-void occs_need_bus_clock(occs_t *occs, const char *what);
+/* End the run unless the bus clock is CHIP_BUS_HZ; `part` starts and needs it. */
+void occs_need_bus_clock(occs_t *occs, const char *part);
 
 #endif

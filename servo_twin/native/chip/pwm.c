@@ -366,23 +366,23 @@ static void matches(pwm_t *pwm, pwm_submodule_t *s, uint32_t d, unsigned hit)
 static void handle(pwm_t *pwm, pwm_submodule_t *s)
 {
     const uint32_t d = PWM_EVENT_DISTANCE(*s->next);
-    unsigned what = 0;
+    unsigned events = 0;
     do {
-        what |= BIT(PWM_EVENT_NUMBER(*s->next++));
+        events |= BIT(PWM_EVENT_NUMBER(*s->next++));
     } while (PWM_EVENT_DISTANCE(*s->next) == d);
-    if ((what & BIT(PWM_CYCLE)) != 0) {
+    if ((events & BIT(PWM_CYCLE)) != 0) {
         local_sync(pwm, s);
         if (s->done != (int64_t)d) {
             return; /* a new cycle */
         }
     }
-    if ((what & BIT(PWM_WRAP)) != 0) {
+    if ((events & BIT(PWM_WRAP)) != 0) {
         settle_to(s, (int64_t)WRAP_DISTANCE - 1);
         s->origin += (uint64_t)WRAP_DISTANCE << s->active.prescaler;
         s->done = s->settled = -1;
         s->next = s->event;
-    } else if ((what & STS_CMPF) != 0) {
-        matches(pwm, s, d, what & STS_CMPF); /* unless it ends a cycle VAL1 + 1 is a count like any other */
+    } else if ((events & STS_CMPF) != 0) {
+        matches(pwm, s, d, events & STS_CMPF); /* unless it ends a cycle VAL1 + 1 is a count like any other */
     }
 }
 

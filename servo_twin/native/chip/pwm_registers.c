@@ -1,4 +1,4 @@
-/* pwm_registers.c - what the software reads and writes. */
+/* pwm_registers.c - the registers, as the software reads and writes them. */
 #include "chip/pwm_internal.h"
 
 #define MODULE_SIZE 0x100u
@@ -37,23 +37,26 @@ enum {
 static const uint8_t buffered[MODULE_SIZE] = {BUFFERED(0), BUFFERED(1), BUFFERED(2), BUFFERED(3),
                                               [SUB_REGISTERS + MCTRL] = BUFFERED_MCTRL};
 
-static bool is_value(uint32_t r) { return r == INIT || (r >= VAL0 && r <= VAL5 && (r & 1u) != 0); }
+static bool is_value(uint32_t number)
+{
+    return number == INIT || (number >= VAL0 && number <= VAL5 && (number & 1u) != 0);
+}
 
-static bool is_fraction(uint32_t r) { return r >= FRACVAL1 && r < VAL5 && (r & 1u) == 0; }
+static bool is_fraction(uint32_t number) { return number >= FRACVAL1 && number < VAL5 && (number & 1u) == 0; }
 
-static uint16_t read_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint32_t r)
+static uint16_t read_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint32_t number)
 {
     pwm_submodule_t *s = &pwm->module[m].sub[n];
-    if (r == INIT) {
+    if (number == INIT) {
         return s->buffer.init;
     }
-    if (is_value(r)) {
-        return s->buffer.val[(r - VAL0) / 2u];
+    if (is_value(number)) {
+        return s->buffer.val[(number - VAL0) / 2u];
     }
-    if (is_fraction(r)) {
+    if (is_fraction(number)) {
         return 0;
     }
-    switch (r) {
+    switch (number) {
     case CNT:
         return pwm_counter(s, pwm->bus->now);
     case CTRL2:
@@ -78,7 +81,7 @@ static uint16_t read_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, u
         return s->dismap1;
     case DTCNT0:
     case DTCNT1:
-        return s->dtcnt[r - DTCNT0];
+        return s->dtcnt[number - DTCNT0];
     default:
         bus_no_register(pwm->bus, address);
     }
@@ -126,15 +129,15 @@ static void write_ctrl2(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, ui
     pwm_schedule(pwm, s);
 }
 
-static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint32_t r, uint16_t value)
+static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint32_t number, uint16_t value)
 {
     pwm_module_t *module = &pwm->module[m];
     pwm_submodule_t *s = &module->sub[n];
-    if (is_fraction(r)) {
+    if (is_fraction(number)) {
         bus_allow(pwm->bus, address, value, 0, "the fractional unit is not modelled");
         return;
     }
-    switch (r) {
+    switch (number) {
     case CTRL2:
         write_ctrl2(pwm, address, m, n, value);
         break;
@@ -188,7 +191,7 @@ static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint
         break;
     case DTCNT0:
     case DTCNT1:
-        s->dtcnt[r - DTCNT0] = value & 0x7FFu;
+        s->dtcnt[number - DTCNT0] = value & 0x7FFu;
         break;
     default:
         bus_no_register(pwm->bus, address);
@@ -233,22 +236,22 @@ static uint16_t fault_status(const pwm_module_t *module)
                       (unsigned)module->fsts_half << 12);
 }
 
-static uint16_t read_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r)
+static uint16_t read_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t number)
 {
     const pwm_module_t *module = &pwm->module[m];
-    if (r > FTST1) {
+    if (number > FTST1) {
         bus_no_register(pwm->bus, address);
     }
-    if (r == MCTRL) {
+    if (number == MCTRL) {
         return (uint16_t)(module->ldok | (unsigned)module->run << 8 | (unsigned)module->ipol << 12);
     }
-    return (r == FSTS0) ? fault_status(module) : module->reg[r];
+    return (number == FSTS0) ? fault_status(module) : module->reg[number];
 }
 
-static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, uint16_t value)
+static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t number, uint16_t value)
 {
     pwm_module_t *module = &pwm->module[m];
-    switch (r) {
+    switch (number) {
     case OUTEN:
         bus_allow(pwm->bus, address, value, 0x0FF0, "PWM_X is not modelled");
         module->reg[OUTEN] = value;
@@ -334,19 +337,19 @@ uint16_t pwm_read(void *peripheral, uint32_t address)
     return read_module(pwm, address, m, offset - SUB_REGISTERS);
 }
 
-static void write_buffer(pwm_t *pwm, uint32_t address, unsigned m, unsigned what, uint16_t value)
+static void write_buffer(pwm_t *pwm, uint32_t address, unsigned m, unsigned entry, uint16_t value)
 {
     pwm_module_t *module = &pwm->module[m];
-    pwm_submodule_t *s = pwm->submodule[PWM_SUBMODULES * m + what / 8u];
+    pwm_submodule_t *s = pwm->submodule[PWM_SUBMODULES * m + entry / 8u];
     bus_check_gate(pwm->bus, address, 3, 7u - s->id);
     if (((module->ldok >> s->number) & 1u) != 0) {
         module->locked_writes++;
         return;
     }
-    if (what % 8u == 1u) {
+    if (entry % 8u == 1u) {
         s->buffer.init = value;
     } else {
-        s->buffer.val[what % 8u - 2u] = value;
+        s->buffer.val[entry % 8u - 2u] = value;
     }
     s->updated = true;
 }
@@ -366,9 +369,9 @@ NOINLINE static void write_plain(pwm_t *pwm, uint32_t address, uint16_t value)
 void pwm_write(void *peripheral, uint32_t address, uint16_t value)
 {
     pwm_t *pwm = (pwm_t *)peripheral;
-    const unsigned what = buffered[address % MODULE_SIZE];
-    if (what != 0 && what != BUFFERED_MCTRL) {
-        write_buffer(pwm, address, (address - PWM_BASE) / MODULE_SIZE, what, value);
+    const unsigned entry = buffered[address % MODULE_SIZE];
+    if (entry != 0 && entry != BUFFERED_MCTRL) {
+        write_buffer(pwm, address, (address - PWM_BASE) / MODULE_SIZE, entry, value);
     } else {
         write_plain(pwm, address, value);
     }

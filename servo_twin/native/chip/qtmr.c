@@ -570,29 +570,29 @@ static void write_ctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, uns
     derive(qtmr, timer);
 }
 
-static uint16_t read_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint32_t r)
+static uint16_t read_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint32_t number)
 {
     const qtmr_channel_t *c = &timer->channel[n];
-    if (r == HOLD || r == CNTR || r == CTRL || r == SCTRL || r == CSCTRL) {
+    if (number == HOLD || number == CNTR || number == CTRL || number == SCTRL || number == CSCTRL) {
         settle(qtmr, timer, n);
     }
-    if (r == CNTR) {
+    if (number == CNTR) {
         for (unsigned k = 0; k < QTMR_CHANNELS; k++) { /* those on the bus clock are computed when they are read */
             timer->channel[k].reg[HOLD] = timer->channel[k].reg[CNTR];
         }
         timer->holds = timer->on_bus & ~(1u << n);
         timer->hold_clock = qtmr->bus->now;
-    } else if (r == SCTRL) {
+    } else if (number == SCTRL) {
         const bool level = ((timer->in >> CTRL_SCS(c->reg[CTRL])) & 1u) != 0;
         return (uint16_t)(c->reg[SCTRL] | ((level != ((c->reg[SCTRL] & SCTRL_IPS) != 0)) ? SCTRL_INPUT : 0u));
-    } else if (r == DMA) {
+    } else if (number == DMA) {
         return 0;
-    } else if (r == ENBL && n == 0) {
+    } else if (number == ENBL && n == 0) {
         return timer->enable;
-    } else if (r > FILT) {
+    } else if (number > FILT) {
         bus_no_register(qtmr->bus, address);
     }
-    return c->reg[r];
+    return c->reg[number];
 }
 
 static void write_sctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint16_t value)
@@ -625,22 +625,23 @@ static void write_csctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, u
     request(qtmr, timer, n);
 }
 
-static void write_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint32_t r, uint16_t value)
+static void write_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint32_t number,
+                          uint16_t value)
 {
     qtmr_channel_t *c = &timer->channel[n];
     settle(qtmr, timer, n);
-    switch (r) {
+    switch (number) {
     case COMP1:
     case COMP2:
     case LOAD:
     case CNTR:
-        c->reg[r] = value;
+        c->reg[number] = value;
         break;
     case CAPT:
     case HOLD:
     case CMPLD1:
     case CMPLD2:
-        c->reg[r] = value;
+        c->reg[number] = value;
         return;
     case CTRL:
         write_ctrl(qtmr, address, timer, n, value);

@@ -26,20 +26,20 @@ enum {
 uint16_t sim_read(void *peripheral, uint32_t address)
 {
     sim_t *sim = (sim_t *)peripheral;
-    const uint32_t r = address - SIM_BASE;
-    if (r >= SCR0 && r <= SCR3) {
-        return sim->scr[r - SCR0];
+    const uint32_t number = address - SIM_BASE;
+    if (number >= SCR0 && number <= SCR3) {
+        return sim->scr[number - SCR0];
     }
-    if (r >= PCE0 && r <= PCE3) {
-        return sim->bus->sim.pce[r - PCE0];
+    if (number >= PCE0 && number <= PCE3) {
+        return sim->bus->sim.pce[number - PCE0];
     }
-    if (r >= SD0 && r <= SD3) {
-        return sim->sd[r - SD0];
+    if (number >= SD0 && number <= SD3) {
+        return sim->sd[number - SD0];
     }
-    if (r >= GPSAL && r <= GPSGH) {
-        return sim->bus->sim.gps[r - GPSAL];
+    if (number >= GPSAL && number <= GPSGH) {
+        return sim->bus->sim.gps[number - GPSAL];
     }
-    switch (r) {
+    switch (number) {
     case SIM_CTRL:
         return sim->ctrl;
     case RSTAT:
@@ -66,32 +66,32 @@ uint16_t sim_read(void *peripheral, uint32_t address)
 void sim_write(void *peripheral, uint32_t address, uint16_t value)
 {
     sim_t *sim = (sim_t *)peripheral;
-    const uint32_t r = address - SIM_BASE;
-    if (((sim->prot >> 2) & 3u) != 0 && r >= PCE0 && r <= SD3) {
+    const uint32_t number = address - SIM_BASE;
+    if (((sim->prot >> 2) & 3u) != 0 && number >= PCE0 && number <= SD3) {
         return; /* protected */
     }
-    if ((sim->prot & 3u) != 0 && r >= GPSAL && r <= IPS0) {
+    if ((sim->prot & 3u) != 0 && number >= GPSAL && number <= IPS0) {
         return;
     }
-    if (r >= SCR0 && r <= SCR3) {
-        sim->scr[r - SCR0] = value;
+    if (number >= SCR0 && number <= SCR3) {
+        sim->scr[number - SCR0] = value;
         return;
     }
-    if (r >= PCE0 && r <= PCE3) {
-        sim->bus->sim.pce[r - PCE0] = value;
+    if (number >= PCE0 && number <= PCE3) {
+        sim->bus->sim.pce[number - PCE0] = value;
         sim->bus->signals->clock_gates_changed(sim->bus->chip);
         return;
     }
-    if (r >= SD0 && r <= SD3) {
-        sim->sd[r - SD0] = value;
+    if (number >= SD0 && number <= SD3) {
+        sim->sd[number - SD0] = value;
         return;
     }
-    if (r >= GPSAL && r <= GPSGH) {
-        sim->bus->sim.gps[r - GPSAL] = value;
+    if (number >= GPSAL && number <= GPSGH) {
+        sim->bus->sim.gps[number - GPSAL] = value;
         sim->bus->signals->route_pins(sim->bus->chip);
         return;
     }
-    switch (r) {
+    switch (number) {
     case SIM_CTRL:
         if ((value & SIM_CTRL_SWRST) != 0) {
             sim->bus->signals->reset(sim->bus->chip, RESET_SOFTWARE);

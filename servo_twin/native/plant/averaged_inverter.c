@@ -23,7 +23,7 @@ void averaged_inverter_change(averaged_inverter_t *inverter, const plant_axis_t 
     /* s(i) has the slope 1.5 / i_w at zero and is constant over a step. For a stable step a current must not cross zero by
      * more than a quarter of its size: 1.5 E step / (L i_w) <= 1.25 with the error voltage E. */
     const double per_error_volt = 1.2 * step / l;
-    inverter->dead_duty = config->dead_time * pwm_frequency;
+    inverter->dead_part = config->dead_time * pwm_frequency;
     inverter->v_drop = config->v_drop;
     inverter->r_on = config->r_on;
     inverter->band_dead = config->dead_time / l;
@@ -43,7 +43,7 @@ void averaged_inverter_load(averaged_inverter_t *inverter, const double duty[3],
 {
     for (int k = 0; k < 3; k++) {
         inverter->duty[k] = duty[k];
-        inverter->dead_leg[k] = (duty[k] > 0.0 && duty[k] < 1.0) ? inverter->dead_duty : 0.0;
+        inverter->dead_leg[k] = (duty[k] > 0.0 && duty[k] < 1.0) ? inverter->dead_part : 0.0;
     }
     const double high = larger(duty[0], larger(duty[1], duty[2]));
     const double low = -larger(-duty[0], larger(-duty[1], -duty[2]));
@@ -82,14 +82,15 @@ static void admittance(const plant_motor_t *motor, double h, double a[3][3])
     }
 }
 
-static double change_of(const double row[3], const double v[3], const double base[3])
+/* Change of a phase current by the leg voltages v instead of `base`; `row` is that of the phase in the admittance. */
+static double current_change(const double row[3], const double v[3], const double base[3])
 {
     return row[0] * (v[0] - base[0]) + row[1] * (v[1] - base[1]) + row[2] * (v[2] - base[2]);
 }
 
 /* Terminals of the motor in a step. */
 typedef struct {
-    int of[3]; /* terminal of a phase: the first phase connected to it */
+    int first_phase[3]; /* number of the terminal of a phase: the first phase connected to it */
     double low[3], high[3]; /* limits of a terminal's voltage, equal if the voltage is given [V] */
 } terminals_t;
 
@@ -98,7 +99,7 @@ static bool floats(const terminals_t *t, int n, const double v[3]) { return v[n]
 static void terminals_of(const averaged_inverter_t *inverter, double u_dc, terminals_t *t)
 {
     for (int k = 0; k < 3; k++) {
-        t->of[k] = k;
+        t->first_phase[k] = k;
         t->low[k] = inverter->on ? inverter->leg[k] : -inverter->v_drop;
         t->high[k] = inverter->on ? inverter->leg[k] : u_dc + inverter->v_drop;
         if (inverter->open[k]) {
@@ -116,7 +117,7 @@ static void terminals_of(const averaged_inverter_t *inverter, double u_dc, termi
         t->high[from] = 0.0;
     } else if (!inverter->open[to]) {
         const int first = (from < to) ? from : to;
-        t->of[from] = t->of[to] = first;
+        t->first_phase[from] = t->first_phase[to] = first;
         t->low[first] = 0.5 * (t->low[from] + t->low[to]);
         t->high[first] = 0.5 * (t->high[from] + t->high[to]);
     }
@@ -132,8 +133,8 @@ static void solve_diodes(double a[3][3], const double i[3], const double base[3]
             double current = 0.0;
             double slope = 0.0;
             for (int k = n; k < 3; k++) {
-                if (t->of[k] == n) {
-                    current += i[k] + change_of(a[k], v, base);
+                if (t->first_phase[k] == n) {
+                    current += i[k] + current_change(a[k], v, base);
                     slope += a[k][k] + 2.0 * ((k != n) ? a[k][n] : 0.0);
                 }
             }
@@ -141,7 +142,7 @@ static void solve_diodes(double a[3][3], const double i[3], const double base[3]
                 const double next = plant_limit(v[n] - current / slope, t->low[n], t->high[n]);
                 moved += fabs(next - v[n]);
                 for (int k = n; k < 3; k++) {
-                    v[k] = (t->of[k] == n) ? next : v[k];
+                    v[k] = (t->first_phase[k] == n) ? next : v[k];
                 }
             }
         }
@@ -157,11 +158,11 @@ static void cut_off(const terminals_t *t, int n, double i[3])
     double sum = 0.0;
     double phases = 0.0;
     for (int k = n; k < 3; k++) {
-        sum += (t->of[k] == n) ? i[k] : 0.0;
-        phases += (t->of[k] == n) ? 1.0 : 0.0;
+        sum += (t->first_phase[k] == n) ? i[k] : 0.0;
+        phases += (t->first_phase[k] == n) ? 1.0 : 0.0;
     }
     for (int k = n; k < 3; k++) {
-        i[k] -= (t->of[k] == n) ? sum / phases : 0.0;
+        i[k] -= (t->first_phase[k] == n) ? sum / phases : 0.0;
     }
 }
 
@@ -173,13 +174,13 @@ static void settle_currents(plant_motor_t *motor, double a[3][3], const double b
     int conducting = 0;
     int last = 0;
     for (int k = 0; k < 3; k++) {
-        i[k] = motor->phase[k] + change_of(a[k], v, base);
+        i[k] = motor->phase[k] + current_change(a[k], v, base);
     }
     for (int n = 0; n < 3; n++) {
-        if (t->of[n] == n && !floats(t, n, v)) {
+        if (t->first_phase[n] == n && !floats(t, n, v)) {
             conducting++;
             last = n;
-        } else if (t->of[n] == n) {
+        } else if (t->first_phase[n] == n) {
             cut_off(t, n, i);
         }
     }
@@ -193,8 +194,8 @@ static void settle_currents(plant_motor_t *motor, double a[3][3], const double b
 
 static bool all_zero(const plant_motor_t *motor) { return motor->i_d == 0.0 && motor->i_q == 0.0; }
 
-/* Open switches without current: true if none begins, since a star point potential exists at which every terminal is within
- * its limits. Sets *star to it [V]. */
+/* True if no diode conducts: the currents are zero, and a potential of the star point exists at which every terminal voltage
+ * is within its limits. *star is that potential [V]. */
 static bool non_conducting(const averaged_inverter_t *inverter, const plant_motor_t *motor, const double emf[3],
                            double u_dc, const terminals_t *t, double *star)
 {
@@ -204,7 +205,7 @@ static bool non_conducting(const averaged_inverter_t *inverter, const plant_moto
         return false;
     }
     for (int k = 0; k < 3; k++) {
-        if (t->of[k] != k) { /* two phases in a loop */
+        if (t->first_phase[k] != k) { /* two phases in a loop */
             return motor->omega == 0.0;
         }
         star_min = larger(star_min, t->low[k] - emf[k]);
@@ -224,7 +225,7 @@ static void return_charge(averaged_inverter_t *inverter, const double mean[3], d
     for (int n = 0; n < 3; n++) {
         double current = 0.0;
         for (int k = n; k < 3; k++) {
-            current += (t->of[k] == n) ? mean[k] : 0.0;
+            current += (t->first_phase[k] == n) ? mean[k] : 0.0;
         }
         const bool diodes = t->low[n] < t->high[n];
         inverter->share[n] = (diodes && current < 0.0) ? 1.0 : 0.0;
@@ -246,7 +247,7 @@ static double conduction_loss(const averaged_inverter_t *inverter, const double 
     return power;
 }
 
-/* A step with open switches or broken wires. */
+/* A step with open switches, broken wires or a short circuit. */
 static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
 {
     double emf[3];
@@ -268,7 +269,7 @@ static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, 
     double base[3];
     admittance(motor, dt, a);
     for (int k = 0; k < 3; k++) {
-        const int n = t.of[k];
+        const int n = t.first_phase[k];
         before[k] = motor->phase[k];
         base[k] = emf[k]; /* at this voltage the currents only decay, slowly compared with the step */
         v[k] = (inverter->open[k] || before[k] == 0.0) ? plant_limit(0.5 * u_dc + emf[n], t.low[n], t.high[n])
@@ -297,9 +298,9 @@ static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, 
     return used;
 }
 
-static void update_broken(averaged_inverter_t *inverter)
+static void update_fault(averaged_inverter_t *inverter)
 {
-    inverter->broken =
+    inverter->has_fault =
         inverter->open[0] || inverter->open[1] || inverter->open[2] || inverter->short_from != PLANT_NO_SHORT;
 }
 
@@ -313,14 +314,14 @@ void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor,
         plant_motor_set_phases(motor, i[0], i[1]);
     }
     inverter->open[phase] = open;
-    update_broken(inverter);
+    update_fault(inverter);
 }
 
 void averaged_inverter_short(averaged_inverter_t *inverter, int phase, int to)
 {
     inverter->short_from = phase;
     inverter->short_to = to;
-    update_broken(inverter);
+    update_fault(inverter);
 }
 
 bool averaged_inverter_shorted(const averaged_inverter_t *inverter)
@@ -360,7 +361,7 @@ double averaged_inverter_step(averaged_inverter_t *inverter, plant_motor_t *moto
     if (inverter->on) {
         drive_legs(inverter, motor, u_dc);
     }
-    if (!inverter->on || inverter->broken) {
+    if (!inverter->on || inverter->has_fault) {
         return limited_step(inverter, motor, u_dc, dt, charge);
     }
     const double before[3] = {motor->phase[0], motor->phase[1], motor->phase[2]};

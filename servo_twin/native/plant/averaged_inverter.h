@@ -34,7 +34,7 @@
 
 typedef struct {
     /* parameters */
-    double dead_duty; /* t_d f [1] */
+    double dead_part; /* t_d f [1] */
     double v_drop; /* [V] */
     double r_on; /* [ohm] */
     double band_dead, band_ripple; /* i_w = u (band_dead + band_ripple m (1 - m)) [A/V] */
@@ -42,7 +42,7 @@ typedef struct {
     /* state */
     bool on; /* the switches follow the duties */
     bool unplugged; /* motor cable */
-    bool broken; /* a phase is open or shorted */
+    bool has_fault; /* a phase is open or shorted */
     bool open[3]; /* the wire of the phase is broken */
     int short_from, short_to; /* shorted phase, and the other one or PLANT_BUS_MINUS; PLANT_NO_SHORT: none */
     double duty[3]; /* 0..1 [1] */
@@ -94,13 +94,13 @@ static inline bool averaged_inverter_low_conducts(const averaged_inverter_t *inv
 }
 
 /* Current in the shunt of a phase at the centre of the low-side (or else the high-side) time [A]: that of the lower switch or
- * diode. The general version is for open switches and broken wires. */
+ * diode. The general version is for open switches, broken wires and short circuits. */
 double averaged_inverter_general_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase,
                                        bool low_side_centre);
 static inline double averaged_inverter_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase,
                                              bool low_side_centre)
 {
-    if (!inverter->on || inverter->broken) {
+    if (!inverter->on || inverter->has_fault) {
         return averaged_inverter_general_shunt(inverter, motor, phase, low_side_centre);
     }
     return averaged_inverter_low_conducts(inverter, phase, low_side_centre) ? motor->phase[phase] : 0.0;

@@ -39,16 +39,16 @@ static inline KERNEL(vector_t) KERNEL(small_angle)(NUM x)
 static inline KERNEL(vector_t) KERNEL(double_angle)(KERNEL(vector_t) e)
 {
     const NUM twice = e.beta + e.beta;
-    const KERNEL(vector_t) f = {1.0 - twice * e.beta, twice * e.alpha};
-    return f;
+    const KERNEL(vector_t) result = {1.0 - twice * e.beta, twice * e.alpha};
+    return result;
 }
 
 /* Cosine and sine of the angle plus a small x, whose cube is below double precision. */
 static inline KERNEL(vector_t) KERNEL(add_angle)(KERNEL(vector_t) e, NUM x)
 {
     const NUM c = 1.0 - 0.5 * x * x;
-    const KERNEL(vector_t) f = {e.alpha * c - e.beta * x, e.beta * c + e.alpha * x};
-    return f;
+    const KERNEL(vector_t) result = {e.alpha * c - e.beta * x, e.beta * c + e.alpha * x};
+    return result;
 }
 
 /* A constant stator vector in the rotor reference frame after the rotor has rotated by e. */

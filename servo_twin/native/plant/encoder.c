@@ -81,7 +81,7 @@ static void latch_at(plant_encoder_t *encoder, uint64_t time_ns)
     encoder->captured_ns = time_ns;
     encoder->captured_count = encoder->count;
     encoder->armed = false;
-    encoder->latched = true;
+    encoder->captured = true;
 }
 
 PLANT_COLD double plant_encoder_eccentric(const plant_encoder_t *encoder, double theta)
@@ -236,23 +236,23 @@ void plant_encoder_restart(plant_encoder_t *encoder)
     encoder->index = 0;
     encoder->oflag = false;
     encoder->armed = false;
-    encoder->latched = false;
+    encoder->captured = false;
 }
 
 void plant_encoder_arm(plant_encoder_t *encoder)
 {
     encoder->armed = true;
-    encoder->latched = false;
+    encoder->captured = false;
 }
 
 bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *time)
 {
-    if (!encoder->latched) {
+    if (!encoder->captured) {
         return false;
     }
     *count = encoder->captured_count;
     *time = (uint16_t)(encoder->captured_ns / PLANT_ENCODER_TICK_NS);
-    encoder->latched = false;
+    encoder->captured = false;
     return true;
 }
 

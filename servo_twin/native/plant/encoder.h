@@ -8,7 +8,7 @@
  *   OFLAG  set by the match, cleared by the next B edge. Its rising edge clocks TMRx2, so a shaft that reverses at the
  *          compare value gives an index pulse without a full turn.
  *   TMRx0/1 capture count and time on a B edge; the flag IEF blocks further captures until software clears it.
- *   TMRx3  time since the last latched edge; after an overflow of 16 bits it stays invalid until the next latched edge.
+ *   TMRx3  time since the last captured edge; after an overflow of 16 bits it stays invalid until the next captured edge.
  */
 #ifndef PLANT_ENCODER_H
 #define PLANT_ENCODER_H
@@ -33,10 +33,10 @@ typedef struct {
     uint16_t count; /* TMRx0 */
     uint16_t index; /* TMRx2 */
     bool oflag; /* output of TMRx0 */
-    bool armed; /* IEF is clear: the next B edge is latched */
-    bool latched; /* an edge has not been read yet */
-    uint16_t captured_count; /* at the latched edge [counts] */
-    uint64_t captured_ns; /* time of the latched edge [ns] */
+    bool armed; /* IEF is clear: the next B edge is captured */
+    bool captured; /* an edge has not been read yet */
+    uint16_t captured_count; /* at the captured edge [counts] */
+    uint64_t captured_ns; /* time of the captured edge [ns] */
     double eccentricity, phase; /* disc: a [rad], phase [rad] */
 } plant_encoder_t;
 
@@ -95,7 +95,7 @@ void plant_encoder_restart(plant_encoder_t *encoder);
 /* Arm the capture of the next edge on B. */
 void plant_encoder_arm(plant_encoder_t *encoder);
 
-/* Read a latched edge: count, and time in ticks of PLANT_ENCODER_TICK_NS. True once per edge. */
+/* Read a captured edge: count, and time in ticks of PLANT_ENCODER_TICK_NS. True once per edge. */
 bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *time);
 
 /* TMRx3 in ticks, saturated at 0x10000. */

@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #include "board.h"
-#include "plant/sensors.h"
+#include "plant/noise.h"
 
 typedef struct {
     bool stuck[3]; /* the current converter of the phase is stuck at `code` */

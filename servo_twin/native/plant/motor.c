@@ -10,15 +10,16 @@
 #define LIMIT(x, low, high) plant_limit(x, low, high)
 #include "plant/averaged_kernel.h"
 
-void plant_motor_refresh(plant_motor_t *motor)
+void plant_motor_refresh_exact(plant_motor_t *motor)
 {
     motor->steps = 0;
     plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
     single_phases(motor->i_d, motor->i_q, motor->sine, motor->cosine, motor->phase);
 }
 
-/* Phase currents of the state after a step. */
-static void refresh(plant_motor_t *motor)
+/* Phase currents of the state after a step. Sine and cosine were rotated by the step and are evaluated from the angle
+ * only now and then. */
+static void refresh_phases(plant_motor_t *motor)
 {
     single_phases(motor->i_d, motor->i_q, motor->sine, motor->cosine, motor->phase);
     plant_motor_count_step(motor);
@@ -79,7 +80,7 @@ void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
         .high = INFINITY,
     };
     plant_motor_change(motor, config);
-    plant_motor_refresh(motor);
+    plant_motor_refresh_exact(motor);
 }
 
 /* Stator voltage in the rotor reference frame. */
@@ -201,8 +202,8 @@ static void step_coasting(plant_motor_t *m, double h, double direction)
     m->theta += 0.5 * h * (start + m->omega);
 }
 
-/* Direction of motion during the next step; 0: standstill. */
-static double direction_of(plant_motor_t *m, double torque)
+/* Direction of motion during the next step; 0: standstill. A speed within the standstill range is set to 0. */
+static double start_direction(plant_motor_t *m, double torque)
 {
     if (m->locked) {
         return 0.0;
@@ -221,13 +222,16 @@ static double direction_of(plant_motor_t *m, double torque)
     return (drive < -m->friction && m->theta > m->low) ? -1.0 : 0.0;
 }
 
+/* refresh_phases evaluates sine and cosine at the end of this step. */
+static void request_trig(plant_motor_t *m) { m->steps = PLANT_FRESH_TRIG; }
+
 /* An inelastic end stop stops the shaft; the exact instant within the step is neglected. */
 static void apply_end_stops(plant_motor_t *m)
 {
     if (m->theta < m->low || m->theta > m->high) {
         m->theta = (m->theta < m->low) ? m->low : m->high;
         m->omega = 0.0;
-        m->steps = PLANT_FRESH_TRIG; /* evaluate sine and cosine at the next step */
+        request_trig(m);
     }
 }
 
@@ -258,10 +262,10 @@ static double step_until_stop(plant_motor_t *m, plant_vector_t u, double dt, dou
 
 double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt)
 {
-    const double direction = direction_of(motor, plant_motor_torque(motor));
+    const double direction = start_direction(motor, plant_motor_torque(motor));
     if (direction == 0.0) {
         step_standing(motor, u, dt);
-        refresh(motor);
+        refresh_phases(motor);
         return dt;
     }
     const plant_motor_t before = *motor;
@@ -277,13 +281,13 @@ double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt)
         }
     }
     apply_end_stops(motor);
-    refresh(motor);
+    refresh_phases(motor);
     return used;
 }
 
 double plant_motor_coast(plant_motor_t *motor, double dt)
 {
-    const double direction = direction_of(motor, 0.0);
+    const double direction = start_direction(motor, 0.0);
     if (direction == 0.0) {
         return dt;
     }
@@ -297,8 +301,8 @@ double plant_motor_coast(plant_motor_t *motor, double dt)
         motor->theta = theta + 0.5 * used * omega;
     }
     apply_end_stops(motor);
-    motor->steps = PLANT_FRESH_TRIG; /* evaluate sine and cosine now */
-    refresh(motor);
+    request_trig(motor);
+    refresh_phases(motor);
     return used;
 }
 

@@ -86,13 +86,13 @@ void plant_motor_lock(plant_motor_t *motor, bool locked);
 void plant_motor_obstruct(plant_motor_t *motor, double below, double above);
 
 /* Evaluate sine, cosine and phase currents from angle and currents. */
-void plant_motor_refresh(plant_motor_t *motor);
+void plant_motor_refresh_exact(plant_motor_t *motor);
 
 /* Count a step; evaluates sine, cosine and phase currents from time to time. */
 static inline void plant_motor_count_step(plant_motor_t *motor)
 {
     if (++motor->steps > PLANT_FRESH_TRIG) {
-        plant_motor_refresh(motor);
+        plant_motor_refresh_exact(motor);
     }
 }
 

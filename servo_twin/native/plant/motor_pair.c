@@ -42,7 +42,7 @@ static bool is_regular(const motor_lane_t *lane, double *direction)
 {
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
-    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->single) {
+    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->has_fault || motor->single) {
         return false;
     }
     if (fabs(motor->omega) > PLANT_STANDING) {

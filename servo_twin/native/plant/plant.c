@@ -219,7 +219,7 @@ bool plant_over_current(const plant_t *plant, int axis)
     const averaged_inverter_t *inverter = &plant->axis[axis].inverter;
     const double *phase = motor->phase;
     const double i_max = plant->axis[axis].config.i_break;
-    if (inverter->broken && averaged_inverter_shorted(inverter)) { /* its current exceeds any threshold */
+    if (inverter->has_fault && averaged_inverter_shorted(inverter)) { /* its current exceeds any threshold */
         return true;
     }
     if (motor->i_d * motor->i_d + motor->i_q * motor->i_q < i_max * i_max) { /* no phase exceeds the vector */

@@ -15,7 +15,7 @@
 #include <stdint.h>
 
 #include "board.h"
-#include "plant/sensors.h"
+#include "plant/noise.h"
 
 #define QUADRATURE_LINES 2
 

@@ -40,17 +40,18 @@ typedef struct {
 
 PLANT_INLINE segment_t load_segment(const switched_inverter_t *inv)
 {
-    const linear_interval_t *f = &inv->interval;
-    return (segment_t){load_lanes(f->i), load_lanes(f->di), load_lanes(f->ddi), load_lanes(f->v)};
+    const linear_interval_t *interval = &inv->interval;
+    return (segment_t){load_lanes(interval->i), load_lanes(interval->di), load_lanes(interval->ddi),
+                       load_lanes(interval->v)};
 }
 
 PLANT_INLINE void store_segment(switched_inverter_t *inv, const segment_t *s)
 {
-    linear_interval_t *f = &inv->interval;
-    store_lanes(f->i, s->i);
-    store_lanes(f->di, s->di);
-    store_lanes(f->ddi, s->ddi);
-    store_lanes(f->v, s->v);
+    linear_interval_t *interval = &inv->interval;
+    store_lanes(interval->i, s->i);
+    store_lanes(interval->di, s->di);
+    store_lanes(interval->ddi, s->ddi);
+    store_lanes(interval->v, s->v);
     store_vector(&inv->di, vector(s->di));
 }
 
@@ -145,14 +146,14 @@ PLANT_INLINE bool cross_zero(trajectory_t *c, zero_crossing_t *crossing, const s
     if (c->floating >= 0 || c->crossings == ZERO_CROSSINGS_MAX) {
         return false;
     }
-    const linear_interval_t *f = &inv->interval;
+    const linear_interval_t *interval = &inv->interval;
     const unsigned leg = INVERTER_LEG(k);
     const bool falls = (c->positive & leg) != 0u;
     const bool open = (inv->gates & INVERTER_BOTH_GATES(leg)) == 0u;
     const double width = 2.0 * inv->v_drop + (open ? u : 0.0); /* width of the leg's voltage interval */
     const double rest = (c->end - c->from) - h;
     const lanes_t di = c->di + all(h) * c->ddi;
-    const lanes_t needed = load_lanes(f->minus_l_leg) * di; /* voltage step that makes the slope zero */
+    const lanes_t needed = load_lanes(interval->minus_l_leg) * di; /* voltage step that makes the slope zero */
     const unsigned floats =
         (legs_where(needed < all(width)) & c->positive) | (legs_where(needed > all(-width)) & c->negative);
     lanes_t d_slope, d_curvature; /* computed in both branches: a crossing need not wait for `needed` */
@@ -163,21 +164,21 @@ PLANT_INLINE bool cross_zero(trajectory_t *c, zero_crossing_t *crossing, const s
             return false;
         }
         here->volts = falls ? width : -width;
-        d_slope = all(here->volts) * load_lanes(f->di_per_volt[k]);
-        d_curvature = all(here->volts) * load_lanes(f->ddi_per_volt[k]);
+        d_slope = all(here->volts) * load_lanes(interval->di_per_volt[k]);
+        d_curvature = all(here->volts) * load_lanes(interval->ddi_per_volt[k]);
         c->positive ^= leg;
         c->negative ^= leg;
     } else {
         here->volts = phase_of(needed, k);
-        d_slope = all(here->volts) * load_lanes(f->di_per_volt[k]);
-        d_curvature = all(here->volts) * load_lanes(f->ddi_per_volt[k]);
-        here->slope = phase_of(load_lanes(f->minus_l_leg) * (c->ddi + d_curvature), k);
+        d_slope = all(here->volts) * load_lanes(interval->di_per_volt[k]);
+        d_curvature = all(here->volts) * load_lanes(interval->ddi_per_volt[k]);
+        here->slope = phase_of(load_lanes(interval->minus_l_leg) * (c->ddi + d_curvature), k);
         const double last = here->volts + here->slope * rest;
         if (falls ? !(here->volts > 0.0 && last > 0.0 && last < width)
                   : !(here->volts < 0.0 && last < 0.0 && last > -width)) {
             return false;
         }
-        d_curvature += all(here->slope) * load_lanes(f->di_per_volt[k]);
+        d_curvature += all(here->slope) * load_lanes(interval->di_per_volt[k]);
         c->positive &= ~leg;
         c->negative &= ~leg;
         c->floating = k;

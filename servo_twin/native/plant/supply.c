@@ -14,13 +14,13 @@ void supply_change(supply_t *supply, const plant_bus_t *config)
     supply->inv_c = 1.0 / config->capacitance;
     supply->per_rc = 1.0 / (config->r_source * config->capacitance);
     supply_set(supply, config->u_source);
-    thermal_change(&supply->brake, config->brake_capacity, config->brake_resistance);
+    thermal_change(&supply->brake_resistor, config->brake_capacity, config->brake_resistance);
 }
 
 void supply_init(supply_t *supply, const plant_bus_t *config, double ambient)
 {
     *supply = (supply_t){.u = config->u_source};
-    thermal_init(&supply->brake, config->brake_capacity, config->brake_resistance, ambient);
+    thermal_init(&supply->brake_resistor, config->brake_capacity, config->brake_resistance, ambient);
     supply_change(supply, config);
     update_regular(supply);
 }
@@ -55,7 +55,7 @@ void supply_recover(supply_t *supply)
 
 void supply_warm(supply_t *supply, double h)
 {
-    thermal_advance(&supply->brake, h, supply->e_brake - supply->e_warm);
+    thermal_advance(&supply->brake_resistor, h, supply->e_brake - supply->e_warm);
     supply->e_warm = supply->e_brake;
 }
 

@@ -26,7 +26,7 @@ typedef struct {
     double e_source;  /* delivered by the source into the bus so far [J] */
     double e_brake;   /* dissipated in the brake resistor so far [J] */
     double e_warm;    /* part of it that the temperature already includes [J] */
-    thermal_t brake;  /* brake resistor */
+    thermal_t brake_resistor;
 } supply_t;
 
 /* Constants of a step length while the source conducts. */

@@ -160,39 +160,39 @@ PLANT_AVX2_CLONES bool inverter_interval_start(switched_inverter_t *inv, double 
     const double l_mean = 0.5 * (inv->l_d + inv->l_q);
     const double l_half = 0.5 * (inv->l_d - inv->l_q) * (c * c - s * s);
     const symmetric_matrix_t l = {l_mean + l_half, (inv->l_d - inv->l_q) * c * s, l_mean - l_half};
-    linear_interval_t *f = &inv->interval;
-    f->duration_max = duration_max;
-    f->segment_max[false] = driven_max;
-    f->segment_max[true] = smaller(duration_max, IDLE_OF_TIME_CONSTANT * time_constant);
-    store_lanes(f->inverse[0], lanes_of(m.aa, m.ab));
-    store_lanes(f->inverse[1], lanes_of(m.ab, m.bb));
-    store_lanes(f->state_matrix[0], lanes_of(-inv->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
-                                             -inv->r * m.ab + w * (1.0 + m.ab * l.ab - m.bb * l.aa)));
-    store_lanes(f->state_matrix[1], lanes_of(-inv->r * m.ab - w * (1.0 - m.aa * l.bb + m.ab * l.ab),
-                                             -inv->r * m.bb + w * (m.ab * l.bb - m.bb * l.ab)));
+    linear_interval_t *interval = &inv->interval;
+    interval->duration_max = duration_max;
+    interval->segment_max[false] = driven_max;
+    interval->segment_max[true] = smaller(duration_max, IDLE_OF_TIME_CONSTANT * time_constant);
+    store_lanes(interval->inverse[0], lanes_of(m.aa, m.ab));
+    store_lanes(interval->inverse[1], lanes_of(m.ab, m.bb));
+    store_lanes(interval->state_matrix[0], lanes_of(-inv->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
+                                                    -inv->r * m.ab + w * (1.0 + m.ab * l.ab - m.bb * l.aa)));
+    store_lanes(interval->state_matrix[1], lanes_of(-inv->r * m.ab - w * (1.0 - m.aa * l.bb + m.ab * l.ab),
+                                                    -inv->r * m.bb + w * (m.ab * l.bb - m.bb * l.ab)));
     const double emf = w * inv->psi_m;
     const plant_vector_t emf_term = times(m, (plant_vector_t){emf * inv->sine, -emf * inv->cosine});
     /* growth of the back-EMF at the acceleration of the interval before */
     const double growth = standing ? 0.0 : inv->pole_pairs * inv->psi_m * inv->accel;
     const plant_vector_t emf_term_slope =
         times(m, (plant_vector_t){w * emf * c + growth * s, w * emf * s - growth * c});
-    store_lanes(f->emf_term, lanes_of(emf_term.alpha, emf_term.beta));
-    store_lanes(f->emf_term_slope, lanes_of(emf_term_slope.alpha, emf_term_slope.beta));
+    store_lanes(interval->emf_term, lanes_of(emf_term.alpha, emf_term.beta));
+    store_lanes(interval->emf_term_slope, lanes_of(emf_term_slope.alpha, emf_term_slope.beta));
     for (int k = 0; k < 3; k++) {
         const plant_vector_t di = times(m, phase_axis[k]);
-        store_lanes(f->di_per_volt[k], lanes_of(2.0 * THIRD * di.alpha, 2.0 * THIRD * di.beta));
-        store_lanes(f->ddi_per_volt[k], product(f->state_matrix, load_lanes(f->di_per_volt[k])));
+        store_lanes(interval->di_per_volt[k], lanes_of(2.0 * THIRD * di.alpha, 2.0 * THIRD * di.beta));
+        store_lanes(interval->ddi_per_volt[k], product(interval->state_matrix, load_lanes(interval->di_per_volt[k])));
     }
-    store_lanes(f->minus_l_leg,
-                all(-1.0) / (lanes_t){f->di_per_volt[0][INVERTER_LANE(0)], 1.0, f->di_per_volt[1][INVERTER_LANE(1)],
-                                      f->di_per_volt[2][INVERTER_LANE(2)]});
-    store_lanes(f->i, (lanes_t){inv->i.alpha, inv->i.beta, inv->phase[1], inv->phase[2]});
-    f->charge = f->moment = (plant_vector_t){0.0, 0.0};
-    store_pair(f->i_squared, pair_of(0.0));
-    store_pair(f->energy_in, pair_of(0.0));
-    f->energy_drawn = 0.0;
-    f->reluctance_torque = inv->torque - magnet_torque(inv, inv->i);
-    f->elapsed = 0.0;
+    store_lanes(interval->minus_l_leg, all(-1.0) / (lanes_t){interval->di_per_volt[0][INVERTER_LANE(0)], 1.0,
+                                                             interval->di_per_volt[1][INVERTER_LANE(1)],
+                                                             interval->di_per_volt[2][INVERTER_LANE(2)]});
+    store_lanes(interval->i, (lanes_t){inv->i.alpha, inv->i.beta, inv->phase[1], inv->phase[2]});
+    interval->charge = interval->moment = (plant_vector_t){0.0, 0.0};
+    store_pair(interval->i_squared, pair_of(0.0));
+    store_pair(interval->energy_in, pair_of(0.0));
+    interval->energy_drawn = 0.0;
+    interval->reluctance_torque = inv->torque - magnet_torque(inv, inv->i);
+    interval->elapsed = 0.0;
     inv->direction = standing ? 0.0 : (inv->omega > 0.0) ? 1.0 : -1.0;
     inv->accel = standing ? 0.0
                           : (inv->torque - inv->load - inv->direction * inv->friction - inv->viscous * inv->omega) *
@@ -217,16 +217,16 @@ PLANT_INLINE void find_conduction(switched_inverter_t *inv)
 /* A leg without current takes the voltage that keeps it so, or begins to conduct. */
 PLANT_INLINE void settle_at_zero(switched_inverter_t *inv, segment_t *s, int k, double u)
 {
-    linear_interval_t *f = &inv->interval;
-    const lanes_t di_per_volt = load_lanes(f->di_per_volt[k]);
-    const double needed = phase_of(load_lanes(f->minus_l_leg) * s->di, k);
+    linear_interval_t *interval = &inv->interval;
+    const lanes_t di_per_volt = load_lanes(interval->di_per_volt[k]);
+    const double needed = phase_of(load_lanes(interval->minus_l_leg) * s->di, k);
     const double lift = settle_leg(inv, k, separate_leg_min(inv, k, u), separate_leg_max(inv, k, u), needed);
     s->v += all(lift) * load_lanes(legs_at[INVERTER_LEG(k)]);
     s->di += all(lift) * di_per_volt;
-    s->ddi += all(lift) * load_lanes(f->ddi_per_volt[k]);
+    s->ddi += all(lift) * load_lanes(interval->ddi_per_volt[k]);
     if (inv->floating >= 0) { /* its voltage has to change for its current to stay at zero */
-        f->floating_slope = phase_of(load_lanes(f->minus_l_leg) * s->ddi, k);
-        s->ddi += all(f->floating_slope) * di_per_volt;
+        interval->floating_slope = phase_of(load_lanes(interval->minus_l_leg) * s->ddi, k);
+        s->ddi += all(interval->floating_slope) * di_per_volt;
     } else {
         find_conduction(inv);
     }
@@ -242,7 +242,7 @@ static inline void compensate_earlier_charge(switched_inverter_t *inv)
 /* With the present gates, from the currents in `s`. */
 PLANT_INLINE void begin_segment(switched_inverter_t *inv, segment_t *s, double u)
 {
-    const linear_interval_t *f = &inv->interval;
+    const linear_interval_t *interval = &inv->interval;
     int k = leg_at_zero(inv);
     inv->non_conducting = false;
     inv->floating = -1;
@@ -262,10 +262,11 @@ PLANT_INLINE void begin_segment(switched_inverter_t *inv, segment_t *s, double u
         s->di = s->ddi = all(0.0);
         return;
     }
-    const lanes_t emf_term_slope = load_lanes(f->emf_term_slope);
-    s->di = product_plus(f->state_matrix, s->i,
-                         product_plus(f->inverse, s->v, load_lanes(f->emf_term) + all(f->elapsed) * emf_term_slope));
-    s->ddi = product_plus(f->state_matrix, s->di, emf_term_slope); /* i'' = K i' + e' */
+    const lanes_t emf_term_slope = load_lanes(interval->emf_term_slope);
+    s->di = product_plus(interval->state_matrix, s->i,
+                         product_plus(interval->inverse, s->v,
+                                      load_lanes(interval->emf_term) + all(interval->elapsed) * emf_term_slope));
+    s->ddi = product_plus(interval->state_matrix, s->di, emf_term_slope); /* i'' = K i' + e' */
     if (k >= 0) {
         settle_at_zero(inv, s, k, u);
     }
@@ -336,7 +337,7 @@ PLANT_AVX2_CLONES bool inverter_interval_amplifiers(const switched_inverter_t *i
 PLANT_INLINE void account_segment(switched_inverter_t *inv, const segment_t *s, const trajectory_t *c,
                                   const zero_crossing_t *crossing, double u, double *drawn)
 {
-    linear_interval_t *f = &inv->interval;
+    linear_interval_t *interval = &inv->interval;
     const double t = c->end;
     /* the bus voltage has changed since the segment began */
     const lanes_t v = s->v + all(u - inv->u) * load_lanes(legs_at[inv->conduction.upper]);
@@ -347,24 +348,25 @@ PLANT_INLINE void account_segment(switched_inverter_t *inv, const segment_t *s, 
     lanes_t impulse = all(t) * v;
     lanes_t slope = slope_at(c, t);
     if (c->crossings > 0) {
-        account_crossings(c, crossing, inv, &charge, &impulse, &slope, &f->energy_drawn);
+        account_crossings(c, crossing, inv, &charge, &impulse, &slope, &interval->energy_drawn);
     }
     store_lanes(inv->amplifier, amplifier_outputs(inv, s, t, c->last, slope));
     if (inv->floating >= 0) {
-        impulse += all(0.5 * f->floating_slope * t * t) * load_lanes(legs_at[INVERTER_LEG(inv->floating)]);
+        impulse += all(0.5 * interval->floating_slope * t * t) * load_lanes(legs_at[INVERTER_LEG(inv->floating)]);
     }
     const double taken = 1.5 * sum(load_vector(&inv->switch_vector) * charge);
-    f->energy_drawn += taken * u;
+    interval->energy_drawn += taken * u;
     *drawn += taken;
-    store_pair(f->i_squared, load_pair(f->i_squared) + pair_of(0.5 * t) * (before * (before + after) + after * after));
-    store_pair(f->energy_in, load_pair(f->energy_in) + vector(v) * charge);
-    const pair_t earlier = load_vector(&f->charge);
-    store_vector(&f->charge, earlier + charge);
-    store_vector(&f->moment, load_vector(&f->moment) +
-                                 pair_of(t) * (earlier + pair_of(SIXTH * t) * (pair_of(2.0) * before + after)));
+    store_pair(interval->i_squared,
+               load_pair(interval->i_squared) + pair_of(0.5 * t) * (before * (before + after) + after * after));
+    store_pair(interval->energy_in, load_pair(interval->energy_in) + vector(v) * charge);
+    const pair_t earlier = load_vector(&interval->charge);
+    store_vector(&interval->charge, earlier + charge);
+    store_vector(&interval->moment, load_vector(&interval->moment) +
+                                        pair_of(t) * (earlier + pair_of(SIXTH * t) * (pair_of(2.0) * before + after)));
     store_vector(&inv->psi, load_vector(&inv->psi) + vector(impulse));
     inv->leg_mean_integral += impulse[LEGS_MEAN];
-    f->elapsed += t;
+    interval->elapsed += t;
 }
 
 /* Signs and currents at the end of the segment. `zero`: the phase whose current is zero there, -1: none. `sign`: of the current
@@ -402,7 +404,7 @@ static inline bool is_at_rest(const switched_inverter_t *inv) { return inv->non_
 
 PLANT_AVX2_CLONES PLANT_NOINLINE double inverter_interval_advance(switched_inverter_t *inv, double *rest, double u)
 {
-    linear_interval_t *f = &inv->interval;
+    linear_interval_t *interval = &inv->interval;
     double drawn = 0.0;
     for (int n = 0; n < SEGMENT_PARTS_MAX && *rest > INSTANT; n++) {
         if (!inv->segment_valid) {
@@ -427,9 +429,9 @@ PLANT_AVX2_CLONES PLANT_NOINLINE double inverter_interval_advance(switched_inver
             account_segment(inv, &s, &c, crossing, u, &drawn);
             *rest -= c.end;
         }
-        store_lanes(f->i, end_segment(inv, &c, zero, sign));
+        store_lanes(interval->i, end_segment(inv, &c, zero, sign));
         inv->segment_valid = false;
-        if (f->elapsed > 0.99 * f->duration_max && !is_at_rest(inv)) {
+        if (interval->elapsed > 0.99 * interval->duration_max && !is_at_rest(inv)) {
             inverter_interval_end(inv);
         }
     }
@@ -437,7 +439,7 @@ PLANT_AVX2_CLONES PLANT_NOINLINE double inverter_interval_advance(switched_inver
         inverter_interval_end(inv);
     }
     if (inv->in_interval) {
-        store_currents(inv, load_lanes(f->i));
+        store_currents(inv, load_lanes(interval->i));
     }
     inv->e_bus += drawn * u;
     return drawn;

@@ -23,10 +23,11 @@
 #include <stdint.h>
 
 #include "board.h"
+#include "plant/converter.h"
 #include "plant/end_stop.h"
 #include "plant/injected_faults.h"
+#include "plant/noise.h"
 #include "plant/quadrature.h"
-#include "plant/sensors.h"
 #include "plant/shaft.h"
 #include "plant/supply.h"
 #include "plant/switched_inverter.h"
@@ -226,7 +227,7 @@ void switching_warm_magnet(switching_t *plant, int axis, double celsius); /* tem
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
 void switching_set_friction(switching_t *plant, int axis, double friction); /* Coulomb friction [N m] */
-void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */
+void switching_brake_resistor(switching_t *plant, bool on); /* brake resistor across the bus */
 
 /* Inject a fault, or clear it. */
 void switching_set_fault(switching_t *plant, const board_fault_t *fault, bool cleared);

@@ -24,10 +24,10 @@ uint64_t switching_trip_clock(const switching_t *plant, const switching_axis_t *
 void switching_compare(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    const double *p = axis->inverter.phase;
+    const double *phase = axis->inverter.phase;
     const double i_max = axis->i_break;
-    const bool tripped = p[0] > i_max || p[1] > i_max || p[2] > i_max || p[0] < -i_max || p[1] < -i_max ||
-                         p[2] < -i_max || axis->short_clock > plant->now;
+    const bool tripped = phase[0] > i_max || phase[1] > i_max || phase[2] > i_max || phase[0] < -i_max ||
+                         phase[1] < -i_max || phase[2] < -i_max || axis->short_clock > plant->now;
     if (tripped != axis->tripped) {
         axis->tripped = tripped;
         queue_event(plant, (switching_event_t){plant->now, SWITCHING_OVER_CURRENT, (uint8_t)i, 0, tripped});

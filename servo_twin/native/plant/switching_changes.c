@@ -99,7 +99,7 @@ void switching_set_supply(switching_t *plant, double volts)
     supply_set(&plant->supply, volts);
 }
 
-void switching_brake(switching_t *plant, bool on)
+void switching_brake_resistor(switching_t *plant, bool on)
 {
     switching_find_next_event(plant);
     switching_advance_supply(plant);

@@ -21,9 +21,9 @@ static bool feeds_short(const switching_axis_t *axis)
         return axis->leg[inv->grounded] == SWITCHING_HIGH;
     }
     if (inv->unshorted >= 0) {
-        const switching_leg_t one = axis->leg[(inv->unshorted + 1) % 3];
+        const switching_leg_t next = axis->leg[(inv->unshorted + 1) % 3];
         const switching_leg_t other = axis->leg[(inv->unshorted + 2) % 3];
-        return (one == SWITCHING_HIGH && other == SWITCHING_LOW) || (one == SWITCHING_LOW && other == SWITCHING_HIGH);
+        return (next == SWITCHING_HIGH && other == SWITCHING_LOW) || (next == SWITCHING_LOW && other == SWITCHING_HIGH);
     }
     return false;
 }

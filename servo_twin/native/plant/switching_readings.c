@@ -109,5 +109,5 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus)
     bus->u_dc = copy.supply.u;
     bus->e_source = copy.supply.e_source;
     bus->e_brake = copy.supply.e_brake;
-    bus->t_brake = copy.supply.brake.t;
+    bus->t_brake = copy.supply.brake_resistor.t;
 }

@@ -110,13 +110,13 @@ class BoardPair:
         self.real.run_to(self.real.tick + SLOW_PERIODS * step)
         raw = self.real.raw
         for variable, words, mask in self._written:
-            self.twin.command(AppliedCommand(variable, raw["applied_tick"], words, mask))
+            self.twin.add_command(AppliedCommand(variable, raw["applied_tick"], words, mask))
         self._written.clear()
         if self._loss and self._random.random() < self._loss:
             return []
         row = [float(raw[name] * lsb) for name, lsb in zip(_VARIABLES, self._lsb, strict=True)]
         row += divmod(self.real.tick * PERIOD_NS, 1_000_000_000)
-        self.twin.samples(_COLUMNS, np.array([row]))
+        self.twin.add_samples(_COLUMNS, np.array([row]))
         return self.twin.step()
 
     def labels(self) -> list[str]:

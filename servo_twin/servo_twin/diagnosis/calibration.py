@@ -1,4 +1,4 @@
-"""Calibration: noise, model error and detection threshold from runs without a change. Pure."""
+"""Calibration: noise, model error and detection threshold from runs without a change."""
 
 from __future__ import annotations
 

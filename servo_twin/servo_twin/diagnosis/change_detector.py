@@ -1,4 +1,4 @@
-"""Detects a change in one set of equations (GLR test), and withdraws it when the data contradict it. Pure."""
+"""Detects a change in one set of equations (GLR test), and withdraws it when the data contradict it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Finding:
 
     kind: Kind
     changes: tuple[str, ...]  # names of the changes; empty if the cause is unknown
-    value: float  # of the first change: relative, torque [N m] or electrical angle [rad]
+    value: float  # of the first change: relative, torque [N m] or sine of an electrical angle
     low: float  # lower end of its 95 % interval, in the same unit
     high: float  # upper end, in the same unit
     since: int  # start of the change [tick]
@@ -52,7 +52,7 @@ class Estimate:
     """One value, with its 95 % interval."""
 
     name: str
-    value: float  # relative change, torque [N m] or electrical angle [rad]
+    value: float  # relative change, torque [N m] or sine of an electrical angle
     half_width: float  # half width of the interval, in the same unit; infinite without excitation
 
 

@@ -1,4 +1,4 @@
-"""Log likelihood ratios of every single change, since every block, against no change. Pure."""
+"""Log likelihood ratios of every single change, since every block, against no change."""
 
 from __future__ import annotations
 
@@ -117,7 +117,19 @@ class Unknowns:
         if not a[change, change] > 0.0:
             none = np.zeros(len(self.names))
             return DetectionStatistics(
-                since, block, change, 0.0, float("inf"), 0.0, 0.0, change, 0.0, change, 0.0, none, none
+                start_block=since,
+                evaluation_block=block,
+                change=change,
+                value=0.0,
+                deviation=float("inf"),
+                log_likelihood_ratio=0.0,
+                robust_log_likelihood_ratio=0.0,
+                runner_up=change,
+                runner_up_ratio=0.0,
+                second=change,
+                second_ratio=0.0,
+                vector=none,
+                joint=none,
             )
         value, ratio = float(values[block, change]), float(ratios[block, change])
         vector = self.vector(change, value)
@@ -139,26 +151,23 @@ class Unknowns:
         joint = vector.copy()
         joint[second] += seconds[second]
         joint[change] -= seconds[second] * a[change, second] / a[change, change]
+        transient = _transient_fraction(
+            sums.a[block:, change, change], sums.b[block:, change], self.transient_blocks[change]
+        )
         return DetectionStatistics(
-            since,
-            block,
-            change,
-            value,
-            float(self.spread[change] / np.sqrt(a[change, change])),
-            ratio,
-            ratio
-            * (
-                1.0
-                - _transient_fraction(
-                    sums.a[block:, change, change], sums.b[block:, change], self.transient_blocks[change]
-                )
-            ),
-            runner_up,
-            float(max(others[runner_up], 0.0)),
-            second,
-            float(second_ratios[second]) * (1.0 - second_part),
-            vector,
-            joint,
+            start_block=since,
+            evaluation_block=block,
+            change=change,
+            value=value,
+            deviation=float(self.spread[change] / np.sqrt(a[change, change])),
+            log_likelihood_ratio=ratio,
+            robust_log_likelihood_ratio=ratio * (1.0 - transient),
+            runner_up=runner_up,
+            runner_up_ratio=float(max(others[runner_up], 0.0)),
+            second=second,
+            second_ratio=float(second_ratios[second]) * (1.0 - second_part),
+            vector=vector,
+            joint=joint,
         )
 
     def onset(self, sums: Sums, vector: _Array, detect: float) -> int | None:

@@ -1,4 +1,4 @@
-"""Diagnosis of plant changes: findings and estimates from the pairs of board and twin. Pure."""
+"""Diagnosis of plant changes: findings and estimates from the pairs of board and twin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Findings and estimates as text. Pure."""
+"""Findings and estimates as text."""
 
 from __future__ import annotations
 
@@ -27,12 +27,20 @@ _ABSOLUTE: Final = {"load": (1e3, "mN m"), "encoder_angle": (180.0 / math.pi, "d
 """Changes that are not factors: scale and unit."""
 
 
+def _quantity(name: str, unknown: float) -> float:
+    """Reported quantity for an unknown of the equations: a factor, [N m], or [rad]; the angle is at most 90 degrees."""
+    if name == "encoder_angle":
+        return math.asin(min(max(unknown, -1.0), 1.0))
+    return unknown if name in _ABSOLUTE else 1.0 + unknown
+
+
 def _size(name: str, value: float, low: float, high: float) -> str:
+    value, low, high = (_quantity(name, x) for x in (value, low, high))
     if name in _ABSOLUTE:
         scale, unit = _ABSOLUTE[name]
         middle, minimum, maximum = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
         return f"{middle} {unit} ({minimum}..{maximum})"
-    middle, minimum, maximum = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
+    middle, minimum, maximum = (_rounded(max(x, 0.0), high - low, sign=False) for x in (value, low, high))
     return f"{middle} times ({minimum}..{maximum})"
 
 
@@ -87,5 +95,6 @@ def estimate_numbers(estimate: Estimate) -> dict[str, float]:
     """``value``, ``low`` and ``high``: a factor, or [N m], or [rad]; empty without excitation."""
     if not math.isfinite(estimate.half_width):
         return {}
-    value = estimate.value + (0.0 if estimate.name in _ABSOLUTE else 1.0)
-    return {"value": value, "low": value - estimate.half_width, "high": value + estimate.half_width}
+    half = estimate.half_width
+    unknowns = {"value": estimate.value, "low": estimate.value - half, "high": estimate.value + half}
+    return {part: _quantity(estimate.name, unknown) for part, unknown in unknowns.items()}

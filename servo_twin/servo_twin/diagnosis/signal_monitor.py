@@ -1,4 +1,4 @@
-"""Compares the mean difference of each signal with a healthy pair; also detects changes without an equation. Pure."""
+"""Compares the mean difference of each signal with a healthy pair; also detects changes without an equation."""
 
 from __future__ import annotations
 

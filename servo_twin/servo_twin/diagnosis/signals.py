@@ -1,18 +1,18 @@
-"""Balance equations of one axis for the difference of board and twin, per sample. Pure.
+"""Balance equations of one axis for the difference of board and twin, per sample.
 
 With ``d`` for board minus twin, index 0 for values of the twin's plant, and a filter F of first order:
 
-* torque: ``Kt0 F[d i_q_ref] - J0 s F[d w] - B0 F[d w] = -Kt0 F[i_q] a_psi + J0 s F[w] a_J + C0 F[sign w] a_C + F[1] T``
-* voltage q: ``d u_q - R0 d i_q - p psi0 d w = R_s i_q a_R + p psi0 w a_psi``
-* voltage d: ``d u_d + p L_q d(w i_q) = p psi0 w e``
+* torque: ``Kt0 F[d i_q*] - J0 s F[d w] - B0 F[d w] = -Kt0 F[i_q*] a_psi + J0 s F[w] a_J + C0 F[sign w] a_C + F[1] T``
+* voltage q: ``d u_q - R0 d i_q* - p psi0 d w = R_s i_q* a_R + p psi0 w a_psi``
+* voltage d: ``d u_d + p L_q d(w i_q*) = p psi0 w sin e``
 
 The equations are linear, for changes of any size, in the relative changes a of resistance, flux, inertia and Coulomb
-friction, the load torque T and the error e of the encoder angle. Effects common to both boards (dead time, ripple,
-delays) cancel.
+friction, the load torque T and the sine of the error e of the encoder angle (`likelihood_ratio` adds the factor cos e
+of the flux in voltage q). Effects common to both boards (dead time, ripple, delays) cancel.
 
 Samples are 8 ms apart; the responses of the loops to noise in between are aliased. Differences within the same sample
 are regressors of the aliasing error (`ALIASES`). For the torque: the sampled speed minus the derivative of the
-position, and the current set-point minus its filtered value. For the voltage: the current minus its set-point,
+position, and the current set-point minus its filtered value. For the voltage: the current set-point minus the current,
 separately for large and for small currents, where dead time and drops change their signs. The coefficients depend on
 the loop gains. `AxisNoise.alias` are those of the healthy run; deviations are nuisance unknowns of the estimation.
 """
@@ -29,14 +29,14 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.plant import AxisPlant, BusPlant
 
 CHANGES: Final = ("resistance", "flux", "inertia", "friction", "load", "encoder_angle")
-"""Unknowns of an axis: relative changes, a torque [N m] and an electrical angle [rad]."""
+"""Unknowns of an axis: relative changes, a torque [N m] and the sine of an electrical angle."""
 
 EQUATIONS: Final = ("torque", "voltage_q", "voltage_d")
 
 ALIASES: Final = ("speed [N m s/rad]", "set-point [N m/A]", "large current [V/A]", "small current [V/A]")
 """Regressors of the aliasing error, and units of their coefficients."""
 
-NEEDED: Final = ("position", "speed", "speed_ref", "i_q", "i_q_ref", "u_d", "u_q")
+NEEDED: Final = ("position", "speed", "i_q", "i_q_ref", "u_d", "u_q")
 """Variables of an axis that a sample must contain."""
 
 RESISTANCE: Final = CHANGES.index("resistance")
@@ -125,7 +125,10 @@ class AxisSignals:
         self._tick = None
 
     def update(self, tick: int, real: Mapping[str, float], twin: Mapping[str, float]) -> AxisEquations | None:
-        """Equations of a sample; None unless both shafts move in the same direction as at the previous sample."""
+        """Equations of a sample; None unless both shafts turn in the same direction.
+
+        Without a usable previous sample the torque equation is zero.
+        """
         names, plant = self._names, self.plant
         speed, twin_speed = real[names["speed"]], twin[names["speed"]]
         moving = speed * twin_speed > 0.0 and min(abs(speed), abs(twin_speed)) >= _SPEED_MIN

@@ -1,4 +1,4 @@
-"""Thresholds of the diagnosis: noise and model error of every signal of a healthy pair, detection threshold. Pure.
+"""Thresholds of the diagnosis: noise and model error of every signal of a healthy pair, detection threshold.
 
 `servo_twin calibrate` measures them with a healthy board and writes a file. The packaged files are from ``servo-sim
 calibrate`` with virtual pairs: ``thresholds.toml`` at level registers, ``thresholds_ideal.toml`` at level ideal.
@@ -6,7 +6,6 @@ calibrate`` with virtual pairs: ``thresholds.toml`` at level registers, ``thresh
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cache
@@ -16,16 +15,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.toml import tomllib
 
 from servo_twin.diagnosis.signal_monitor import MONITORED
 from servo_twin.diagnosis.signals import ALIASES, CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
 from servo_twin.diagnosis.window import Rows
 from servo_twin.level import DEFAULT_LEVEL, Level
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 _PACKAGED: Final[Mapping[Level, Path]] = {
     "registers": Path(__file__).with_name("thresholds.toml"),

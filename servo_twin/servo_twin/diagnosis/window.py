@@ -1,4 +1,4 @@
-"""Normal equations of a sliding window, in blocks of motion. Pure."""
+"""Normal equations of a sliding window, in blocks of motion."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from servo_msgs_py.catalogue import Catalogue
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import inertia_ratio
-from servo_twin.experiments.rig import RPM, TICK, Recording, command_speed, largest, record, set_up, spinning
+from servo_twin.experiments.rig import RPM, TICK, AxisTrace, command_speed, largest, record, set_up, spinning
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "anti-windup"
@@ -55,7 +55,7 @@ def top_frequency(axis: AxisPlant) -> float:
     return CURRENT_MAX * axis.torque_constant / (ACCELERATION_RATIO * axis.inertia * AMPLITUDE * 2.0 * np.pi)
 
 
-def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
+def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> AxisTrace:
     """Run a sine of this frequency [Hz]; returns the last periods."""
     limit, warm_up = current_limit(plant.axes[AXIS], frequency), WARM_UP / frequency
     with spinning(plant, seed) as board:
@@ -118,7 +118,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield f"axis {AXIS + 1}, {frequency:.3g} Hz, i_q limit {limit:.2f} A, speeds are the feedback's, as in F21 and F22"
 
 
-def _panel(title: str, recording: Recording, frequency: float) -> Panel:
+def _panel(title: str, recording: AxisTrace, frequency: float) -> Panel:
     first = WARM_UP / frequency
     part = recording.part(first, first + 3.0 / frequency)
     time = 1e3 * (part.time - first)

@@ -13,7 +13,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.experiments.plant_limits import OVER_VOLTAGE, top_speed
+from servo_twin.experiments.plant_limits import over_voltage, top_speed
 from servo_twin.experiments.rig import RPM, TICK, command_speed, flags_of, largest, set_axis, set_up, spinning
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -193,7 +193,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     resistor = plant.bus.r_brake or RESISTOR
     without, with_one = stop(plant, seed, speed, 0.0), stop(plant, seed, speed, resistor)
     budget = use_budget(plant, seed, resistor)
-    yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, OVER_VOLTAGE)
+    yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, over_voltage())
     judge = Judge("resistor: ", NOT_SHOWN)
     yield from _rows_bus(judge, plant, speed, with_one, _with_resistor(plant, speed, resistor))
     yield judge("energy dissipated in the resistor", with_one.dissipated[-1], "J", 0.0, kinetic(plant, speed))
@@ -205,10 +205,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge("energy until the resistor is switched off", budget.dissipated, "J", 0.95 * permitted, 1.05 * permitted)
     yield judge("recovery time", budget.recovery_time, "s", 0.95 * recovery_time, 1.05 * recovery_time)
     curves: list[Curve] = []
-    for name, it in (("no resistor", without), ("resistor", with_one)):
-        time = TICK * np.arange(1, it.u_dc.size + 1, dtype=np.float64)
-        curves.append(Curve(f"bus, {name} [V]", time, it.u_dc))
-        speeds = [(f"{axis_name(axis)}, {name} [100 rpm]", it.omega[:, axis]) for axis in range(AXES)]
+    for name, result in (("no resistor", without), ("resistor", with_one)):
+        time = TICK * np.arange(1, result.u_dc.size + 1, dtype=np.float64)
+        curves.append(Curve(f"bus, {name} [V]", time, result.u_dc))
+        speeds = [(f"{axis_name(axis)}, {name} [100 rpm]", result.omega[:, axis]) for axis in range(AXES)]
         curves += [Curve(label, time, omega / RPM / 100.0, "--") for label, omega in speeds]
     yield Panel("both axes brake simultaneously", "time [s]", "bus [V], speed [100 rpm]", curves)
     for axis in range(AXES):
@@ -225,7 +225,7 @@ def _with_resistor(plant: PlantConfig, speed: float, resistor: float) -> float:
     current = sum(_returned(axis, speed) for axis in plant.axes) / ON
     excess = max(current - ON / resistor, 0.0)
     if excess > 0.0:
-        return OVER_VOLTAGE
+        return over_voltage()
     return ON + current * FILTER_DELAY / plant.bus.capacitance + MARGIN
 
 
@@ -236,13 +236,13 @@ def _returned(axis: AxisPlant, speed: float) -> float:
     return 1.5 * CURRENT * max(emf - lost, 0.0)
 
 
-def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, it: Stop, maximum: float) -> Iterator[Row]:
+def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, result: Stop, maximum: float) -> Iterator[Row]:
     faults = {flag.name for flag in Catalogue.load().flags["faults"]}
     yield judge(
-        "highest bus voltage", it.u_dc.max(), "V", plant.bus.u_source, maximum, reference="below the limit, 33 V"
+        "highest bus voltage", result.u_dc.max(), "V", plant.bus.u_source, maximum, reference="below the limit, 33 V"
     )
-    yield judge.none("faults", len(it.flags & faults), reference="none")
-    yield judge("stop time of both axes", it.seconds, "s", 0.0, _longest(plant, speed))
+    yield judge.none("faults", len(result.flags & faults), reference="none")
+    yield judge("stop time of both axes", result.seconds, "s", 0.0, _longest(plant, speed))
 
 
 def _longest(plant: PlantConfig, speed: float) -> float:

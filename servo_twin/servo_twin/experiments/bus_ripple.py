@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import RPM, TICK, Recording, record, set_up, spinning
+from servo_twin.experiments.rig import RPM, TICK, AxisTrace, record, set_up, spinning
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "bus-ripple"
@@ -22,7 +22,7 @@ voltage, and shows no measurement."""
 
 FREQUENCY: Final = 100.0  # [Hz]
 AMPLITUDE: Final = 0.1  # of the supply, relative
-SPEED: Final = 1500.0 * RPM
+SPEED: Final = 1500.0 * RPM  # [rad/s]
 LOAD: Final = 1.0  # load torque, as current [A]
 DISCHARGE_FRACTION: Final = 0.75
 """Fraction of the load current for discharging the capacitor with the falling supply, which cannot absorb energy."""
@@ -48,16 +48,15 @@ def amplitude(signal: NDArray[np.float64], frequency: float) -> float:
     return float(2.0 * abs(np.mean((signal - signal.mean()) * wave)))
 
 
-def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recording:
+def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> AxisTrace:
     """Rotate an axis under load with a ripple of the supply."""
     plant = plant.with_bus(capacitance=capacitance(plant, axis))
     volts = plant.bus.u_source
     acceleration = {"acceleration_limit": 4.0 * SPEED / SETTLE}
     with spinning(plant, seed) as board:
         set_up(board, axis, "SPEED", SPEED, parameters=acceleration, BUS_COMPENSATION=compensated)
-        board.set_load(
-            axis, LOAD * plant.axes[axis].torque_constant
-        )  # braking would raise the voltage of the small capacitor
+        # A load, because braking would raise the voltage of the small capacitor.
+        board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
         record(board, [axis], 0.5 * SETTLE)
 
         def act(k: int) -> None:
@@ -73,8 +72,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield f"{SPEED / RPM:g} rpm, load of {LOAD:g} A, bus capacitor {smallest:.2g} mF, ripple at {FREQUENCY:g} Hz"
     for axis in range(AXES):
         name = axis_name(axis)
-        with_it, without = both = [turn(plant, seed, axis, compensated) for compensated in (True, False)]
-        bus = 100.0 * amplitude(with_it.u_dc, FREQUENCY) / plant.bus.u_source
+        both = [turn(plant, seed, axis, compensated) for compensated in (True, False)]
+        with_compensation, without = both
+        bus = 100.0 * amplitude(with_compensation.u_dc, FREQUENCY) / plant.bus.u_source
         currents = [amplitude(r.i_q_true, FREQUENCY) for r in both]
         speeds = [amplitude(r.omega, FREQUENCY) / RPM for r in both]
         ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
@@ -86,16 +86,16 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             f"{name}: i_q ripple {1e3 * currents[0]:.3g} mA with, {1e3 * currents[1]:.3g} mA without; "
             f"speed ripple {speeds[0]:.3g} and {speeds[1]:.3g} rpm"
         )
-        shown = {"without": _shown(without), "with compensation": _shown(with_it)}
+        shown = {"without": _shown(without), "with compensation": _shown(with_compensation)}
         curves = [Curve(label, _milliseconds(r), r.i_q_true) for label, r in shown.items()]
         yield Panel(f"{name}: true i_q", "time [ms]", "i_q [A]", curves)
-    last = _shown(with_it)
+    last = _shown(with_compensation)
     yield Panel("bus voltage", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
 
 
-def _shown(recording: Recording) -> Recording:
+def _shown(recording: AxisTrace) -> AxisTrace:
     return recording.part(0.5 * SETTLE, 0.5 * SETTLE + SHOWN)
 
 
-def _milliseconds(part: Recording) -> NDArray[np.float64]:
+def _milliseconds(part: AxisTrace) -> NDArray[np.float64]:
     return np.asarray(1e3 * (part.time - part.time[0]))

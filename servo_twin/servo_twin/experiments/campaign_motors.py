@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 import random
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.toml import tomllib
 
 from servo_twin.board import Board, Firmware
 from servo_twin.experiments.rig import fresh_board, level
@@ -18,11 +18,6 @@ from servo_twin.firmware_build import as_toml, build_firmware, servo_table
 from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 OWN: Final = ("axis1", "axis2")
 """Names of the motors of the plant."""

@@ -74,7 +74,11 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         help="experiments (default: all)",
     )
     both.add_argument(
-        "--out", type=Path, default=_OUT, metavar="FOLDER", help="folder for levels.json (default: %(default)s)"
+        "--out",
+        type=Path,
+        default=_OUT,
+        metavar="FOLDER",
+        help="folder for levels.json and levels.md (default: %(default)s)",
     )
     both.set_defaults(run=_run_levels)
 
@@ -175,11 +179,12 @@ def _run_levels(args: argparse.Namespace) -> int:
         pairs.extend(levels.pairs(ideal, registers))
         if not args.json:
             print(levels.table(name, pairs), flush=True)
-    path = levels.write(args.out, pairs)
+    entries = [pair.as_dict() for pair in pairs]
+    path = levels.write(args.out, entries)
     if args.json:
         print(path.read_text(encoding="utf-8"), end="")
     else:
-        print(levels.overview(pairs))
+        print(levels.overview(entries))
         print(f"{sum(pair.agrees for pair in pairs)} of {len(pairs)} figures agree at both levels, and with each other")
         print("".join(f"  does not agree: {pair.name}\n" for pair in pairs if not pair.agrees), end="")
     return 0 if all(pair.agrees for pair in pairs) else 1

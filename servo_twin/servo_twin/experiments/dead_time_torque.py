@@ -8,44 +8,39 @@ stays at zero until the controller has compensated the error; about 60 mA are lo
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin.experiments.rig import COUNT, TICK, Recording
-from servo_twin.plant import AxisPlant
-
-SPEED_LOOP: Final = 2.0 * math.pi * 75.0
-"""Bandwidth of the speed controller [rad/s]."""
-
-INTEGRAL: Final = SPEED_LOOP / 5.0
-"""Corner frequency of the integral part of the speed controller [rad/s]."""
-
-POSITION_GAIN: Final = 60.0
-"""Gain of the position controller [1/s]."""
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.firmware_build import nominal_configuration
+from servo_twin.plant import PlantConfig
 
 
-def displacement(recording: Recording, axis: AxisPlant, *, position: bool, heavier: float = 1.0) -> NDArray[np.float64]:
+def displacement(
+    recording: AxisTrace, plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
+) -> NDArray[np.float64]:
     """Shaft displacement caused by the difference between true current and set-point [counts].
 
     Parameters
     ----------
-    recording : Recording
+    recording : AxisTrace
         Recording of the axis, with the true current.
-    axis : AxisPlant
-        Motor of the axis.
+    plant : PlantConfig
+        Plant data.
+    axis : int
+        Index.
     position : bool
         Position control; false: speed control.
     heavier : float
         Inertia relative to the tuning; the bandwidth is lower by this factor.
     """
-    torque_error = axis.torque_constant * (recording.i_q_true - recording.i_q_ref)
-    return response(torque_error, axis, position=position, heavier=heavier)
+    torque_error = plant.axes[axis].torque_constant * (recording.i_q_true - recording.i_q_ref)
+    return response(torque_error, plant, axis, position=position, heavier=heavier)
 
 
 def response(
-    torques: NDArray[np.float64], axis: AxisPlant, *, position: bool, heavier: float = 1.0
+    torques: NDArray[np.float64], plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
 ) -> NDArray[np.float64]:
     """Response of the shaft to torques, with linear control loops and the bandwidths of servo.toml [counts].
 
@@ -53,29 +48,35 @@ def response(
     ----------
     torques : ndarray
         One per slow tick [N m].
-    axis, position, heavier
+    plant, axis, position, heavier
         See `displacement`.
     """
-    bandwidth = SPEED_LOOP / heavier
-    gain = POSITION_GAIN if position else 0.0
+    tuning, inertia = nominal_configuration().axes[axis], plant.axes[axis].inertia
+    speed_loop = 2.0 * math.pi * tuning("control.speed_bandwidth")
+    corner = speed_loop / tuning("control.speed_ratio")
+    bandwidth = speed_loop / heavier
+    gain = tuning("control.position_gain") if position else 0.0
     speed = position_error = integral = 0.0
     displacements: list[float] = []
     for torque in torques:
         error = speed + gain * position_error
         integral += TICK * error
-        speed += TICK * (float(torque) / axis.inertia - bandwidth * (error + INTEGRAL * integral))
+        speed += TICK * (float(torque) / inertia - bandwidth * (error + corner * integral))
         position_error += TICK * speed
         displacements.append(position_error)
     return np.asarray(displacements) / COUNT
 
 
-def displacement_counts(recording: Recording, axis: AxisPlant, after: float, heavier: float = 1.0) -> float:
+def displacement_counts(
+    recording: AxisTrace, plant: PlantConfig, axis: int, after: float, heavier: float = 1.0
+) -> float:
     """Largest displacement under position control after `after` [s], rounded to counts."""
-    position_error = displacement(recording, axis, position=True, heavier=heavier)
+    position_error = displacement(recording, plant, axis, position=True, heavier=heavier)
     return float(round(np.abs(position_error[recording.time > after]).max(initial=0.0)))
 
 
-def displacement_at(recording: Recording, axis: AxisPlant, target: float, within: float) -> float:
+def displacement_at(recording: AxisTrace, plant: PlantConfig, axis: int, target: float, within: float) -> float:
     """Largest displacement after the set-point is within `within` counts of a target [counts]."""
     near = np.abs(recording.position_ref - target) <= within
-    return displacement_counts(recording, axis, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
+    after = float(recording.time[int(np.argmax(near))])
+    return displacement_counts(recording, plant, axis, after) if near.any() else 0.0

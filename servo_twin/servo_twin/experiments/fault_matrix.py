@@ -312,7 +312,7 @@ def _rows(judge: Judge, fault_case: FaultCase, own: Sequence[Case]) -> Iterator[
         )
 
 
-def _text(it: Case) -> str:
-    when = "" if it.periods is None else f" {it.periods}"
-    mark = "" if it.agrees else "!"
-    return f"{mark}{it.state} {it.name or '-'}{when}"
+def _text(case: Case) -> str:
+    when = "" if case.periods is None else f" {case.periods}"
+    mark = "" if case.agrees else "!"
+    return f"{mark}{case.state} {case.name or '-'}{when}"

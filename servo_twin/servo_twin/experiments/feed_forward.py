@@ -15,8 +15,8 @@ from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import displacement_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import move_speeds, nominal_shafts
-from servo_twin.experiments.rig import COUNT, TICK, Recording
-from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.plant import PlantConfig
 
 NAME: Final = "feed-forward"
 HELP: Final = """\
@@ -57,7 +57,7 @@ REFERENCE_OVERSHOOT: Final = "2.7.3: position must not overshoot"
 class Move:
     """One move of one axis."""
 
-    recording: Recording
+    recording: AxisTrace
     error: float  # largest distance of the true shaft from the shaped set-point [counts]
     overshoot: float  # largest distance beyond the target [counts]
     settling: float | None
@@ -73,9 +73,9 @@ class Move:
         return ARRIVED + self.displacement
 
 
-def measure(recording: Recording, target: int, shaft: AxisPlant) -> Move:
+def measure(recording: AxisTrace, target: int, plant: PlantConfig, axis: int) -> Move:
     """Evaluate a move that starts at standstill with the recording; `target` in counts."""
-    displacement = displacement_at(recording, shaft, target, ARRIVED)
+    displacement = displacement_at(recording, plant, axis, target, ARRIVED)
     error = float(np.abs(recording.position_ref - recording.shaft).max())
     settling = rig.settling_time(recording, target, ARRIVED + displacement, 0.0)
     return Move(recording, error, rig.overshoot(recording, target), settling, displacement)
@@ -97,7 +97,7 @@ def travel(
 
         seconds = turns * COUNTS_PER_TURN * COUNT / min(speeds) + REST
         both = rig.record(board, range(AXES), seconds, rig.at({TICK: go}))
-    return [measure(both[axis], target, plant.axes[axis]) for axis, target in enumerate(targets)]
+    return [measure(both[axis], target, plant, axis) for axis, target in enumerate(targets)]
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from servo_msgs_py.tuning.field_weakening import top_speed as speed_left
 
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.experiments.plant_limits import MODULATION
-from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, record, set_up, spinning
+from servo_twin.experiments.plant_limits import modulation, over_voltage
+from servo_twin.experiments.rig import RPM, TICK, AxisTrace, at, command_speed, record, set_up, spinning
 from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -40,7 +40,6 @@ STEP: Final = LOADS[1]  # load step that is feasible at rated speed
 SAGS: Final = (22.0, 20.0, 17.5)  # [V]
 SAG_LOAD: Final = 0.03  # [N m]
 BOTH_SAG: Final = 20.0  # [V]
-OVER_VOLTAGE: Final = 33.0  # limit of the drive [V]
 NOISE: Final = 0.5  # noise of the bus voltage [V]
 FAULT_SEEN: Final = 0.1  # [s]
 HOT: Final = 110.0  # temperature of the power stage: a fault with coasting [deg C]
@@ -67,14 +66,14 @@ Events = Mapping[float, Callable[[Board], object]]
 """Actions by time since the set-point [s]."""
 
 
-def free_voltage(recording: Recording) -> NDArray[np.float64]:
+def free_voltage(recording: AxisTrace) -> NDArray[np.float64]:
     """Voltage limit minus stator voltage [V]."""
-    return np.asarray(MODULATION * recording.u_dc - np.hypot(recording.u_d, recording.u_q))
+    return np.asarray(modulation() * recording.u_dc - np.hypot(recording.u_d, recording.u_q))
 
 
 def theoretical_speed(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
     """Theoretical speed for this voltage and current, at most RATED [rad/s]."""
-    voltage = MODULATION * volts - (MARGIN if weak else 0.0)
+    voltage = modulation() * volts - (MARGIN if weak else 0.0)
 
     def torque(speed: float) -> float:
         return load + axis.friction + axis.viscous * speed
@@ -100,7 +99,7 @@ def run_with(
     *,
     weak: bool = True,
     may_fail: bool = False,
-) -> Mapping[int, Recording]:
+) -> Mapping[int, AxisTrace]:
     """Run to rated speed, with events."""
     with at_rated(plant, seed, axes, weak=weak) as board:
         act = at({time: functools.partial(do, board) for time, do in events.items()})
@@ -119,20 +118,20 @@ def _supply(volts: float) -> Callable[[Board], object]:
     return lambda board: board.set_supply(volts)
 
 
-def _speed(judge: Judge, recording: Recording, target: float) -> Row:
+def _speed(judge: Judge, recording: AxisTrace, target: float) -> Row:
     """Mean speed, compared with the theoretical one [rad/s]."""
-    says, target = f"{BEYOND}; {target / RPM:.0f} rpm in theory", target / RPM
+    reference, target = f"{BEYOND}; {target / RPM:.0f} rpm in theory", target / RPM
     speed = float(recording.omega.mean()) / RPM
     return judge(
-        "speed", speed, "rpm", (1.0 - SPEED_TOLERANCE) * target, (1.0 + SPEED_TOLERANCE) * target, reference=says
+        "speed", speed, "rpm", (1.0 - SPEED_TOLERANCE) * target, (1.0 + SPEED_TOLERANCE) * target, reference=reference
     )
 
 
-def _free(judge: Judge, recording: Recording, maximum: float | None = None) -> Row:
+def _free(judge: Judge, recording: AxisTrace, maximum: float | None = None) -> Row:
     return judge("voltage reserve", free_voltage(recording).mean(), "V", MARGIN - MARGIN_TOLERANCE, maximum)
 
 
-def _deviation_rows(judge: Judge, recording: Recording) -> Iterator[Row]:
+def _deviation_rows(judge: Judge, recording: AxisTrace) -> Iterator[Row]:
     yield judge("standard deviation of the speed", recording.omega.std() / RPM, "rpm", 0.0, SPEED_DEVIATION_MAX / RPM)
     yield judge("standard deviation of i_d", recording.i_d.std(), "A", 0.0, I_D_DEVIATION_MAX)
 
@@ -140,7 +139,7 @@ def _deviation_rows(judge: Judge, recording: Recording) -> Iterator[Row]:
 # ---- torque over speed -----------------------------------------------------------------------------------------------
 
 
-def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> Recording:
+def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> AxisTrace:
     """The end of a run under a constant load [N m]."""
     end = RUN_UP + SETTLE + MEASURED
     return run_with(plant, seed, {RUN_UP: _load(load)}, end, weak=weak)[AXIS].part(end - MEASURED)
@@ -163,7 +162,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     grid = np.linspace(0.5 * RATED, 1.1 * RATED, 121)
     curves: list[Curve] = []
     for weak, how in ((False, "without"), (True, "with")):
-        voltage = MODULATION * volts - (MARGIN if weak else 0.0)
+        voltage = modulation() * volts - (MARGIN if weak else 0.0)
         torques = [largest_torque(axis, CURRENT, w, voltage, -I_D_MAX if weak else 0.0).torque for w in grid]
         rest = np.maximum(np.array(torques) - axis.friction - axis.viscous * grid, 0.0)
         curves.append(Curve(f"{how}, theory", grid / RPM, 1e3 * rest))
@@ -214,7 +213,7 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
 # ---- a supply that sags ----------------------------------------------------------------------------------------------
 
 
-def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, Recording]:
+def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, AxisTrace]:
     """The supply drops to a voltage [V] under load, and returns after SETTLE + MEASURED."""
     events = {
         RUN_UP - MEASURED: _load(SAG_LOAD, axes),
@@ -224,7 +223,7 @@ def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS
     return run_with(plant, seed, events, RUN_UP + 2.0 * (SETTLE + MEASURED), axes)
 
 
-def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float) -> Iterator[Row]:
+def _sag_rows(judge: Judge, axis: AxisPlant, recording: AxisTrace, volts: float) -> Iterator[Row]:
     back = RUN_UP + SETTLE + MEASURED
     low, after = recording.part(back - MEASURED, back), recording.part(back)
     again = after.time[np.abs(after.omega - RATED) > 2.0 * REACHED * RATED]
@@ -258,7 +257,7 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield judge.true("detected", found.size > 0)
         yield judge.none("still in RUN in the tick of the fault", after.state[0] == recording.state[0])
         yield judge("current after the next tick", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
-        maximum = min(max(charged, emf) + NOISE, OVER_VOLTAGE)
+        maximum = min(max(charged, emf) + NOISE, over_voltage())
         yield judge("highest bus voltage", after.u_dc.max(), "V", 0.0, maximum)
 
 
@@ -278,7 +277,7 @@ def _motor_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield next(_deviation_rows(judge, recording))
 
 
-def _panel(title: str, recording: Recording) -> Panel:
+def _panel(title: str, recording: AxisTrace) -> Panel:
     time = 1e3 * recording.time
     curves = (
         Curve("speed [1000 rpm]", time, recording.omega / RPM / 1e3),

@@ -16,8 +16,8 @@ from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import displacement, response
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import nominal_shafts
-from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
-from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.experiments.rig import COUNT, RPM, TICK, AxisTrace
+from servo_twin.plant import PlantConfig
 
 NAME: Final = "friction"
 HELP: Final = """\
@@ -48,9 +48,10 @@ QUANTISATION: Final = 0.75
 
 @dataclass(frozen=True)
 class Shaft:
-    """Motor and inertia ratio for the evaluation of a run."""
+    """Axis and inertia ratio for the evaluation of a run."""
 
-    axis: AxisPlant
+    plant: PlantConfig
+    axis: int
     heavier: float  # inertia relative to the tuning, at least 1
 
 
@@ -59,7 +60,7 @@ def uncompensated(times: float) -> float:
     return abs(times - 1.0) / times
 
 
-def position_lag(recording: Recording) -> NDArray[np.float64]:
+def position_lag(recording: AxisTrace) -> NDArray[np.float64]:
     """Lag of the true shaft behind the integral of the speed set-point [counts]."""
     reference = np.cumsum(recording.speed_ref) * TICK
     return np.asarray((reference - (recording.theta - recording.theta[0])) / COUNT)
@@ -68,7 +69,7 @@ def position_lag(recording: Recording) -> NDArray[np.float64]:
 # ---- runs of both axes, without and with the feature -----------------------------------------------------------------
 
 
-def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
     """Start from standstill to a low speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -79,7 +80,7 @@ def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
         return rig.record(board, range(AXES), START_TIME)
 
 
-def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
     """Sinusoidal speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -92,7 +93,7 @@ def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recordin
         return rig.record(board, range(AXES), SETTLE + MEASURED, act)
 
 
-def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
     """Sinusoidal position, with feed-forward of speed and acceleration in both runs."""
     with rig.spinning(plant, seed) as board:
         starts = [rig.position_of(board, axis) for axis in range(AXES)]
@@ -120,25 +121,30 @@ def expected_at_start(shaft: Shaft, fraction: float) -> float:
     Cannot be measured in the run without feed-forward: at the start the encoder resolution adds an error of opposite
     sign.
     """
-    torques = np.full(round(START_TIME / TICK), fraction * shaft.axis.friction)
-    return _rms(response(torques, shaft.axis, position=False, heavier=shaft.heavier))
+    torques = np.full(round(START_TIME / TICK), fraction * shaft.plant.axes[shaft.axis].friction)
+    return _rms(response(torques, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier))
 
 
-def lost_at_start(recording: Recording, shaft: Shaft) -> float:
+def lost_at_start(recording: AxisTrace, shaft: Shaft) -> float:
     """RMS position lag, without the part caused by the inverter [counts]."""
-    return _rms(position_lag(recording) + displacement(recording, shaft.axis, position=False, heavier=shaft.heavier))
+    return _rms(
+        position_lag(recording)
+        + displacement(recording, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier)
+    )
 
 
-def lost_at_reversals(recording: Recording, shaft: Shaft) -> float:
+def lost_at_reversals(recording: AxisTrace, shaft: Shaft) -> float:
     """RMS of the position lag about its mean, over whole periods, without the part of the inverter [counts]."""
-    position = position_lag(recording) + displacement(recording, shaft.axis, position=False, heavier=shaft.heavier)
+    position = position_lag(recording) + displacement(
+        recording, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier
+    )
     position = position[round(SETTLE / TICK) :]
     return _rms(position - position.mean())
 
 
-def following_error(recording: Recording, shaft: Shaft) -> float:
+def following_error(recording: AxisTrace, shaft: Shaft) -> float:
     """RMS of the true following error, over whole periods, without the part caused by the inverter [counts]."""
-    cost = displacement(recording, shaft.axis, position=True, heavier=shaft.heavier)
+    cost = displacement(recording, shaft.plant, shaft.axis, position=True, heavier=shaft.heavier)
     return _rms((recording.position_ref - recording.shaft + cost)[round(SETTLE / TICK) :])
 
 
@@ -148,11 +154,11 @@ class Task:
 
     name: str
     note: str  # name in the notes
-    run: Callable[[PlantConfig, int, bool], dict[int, Recording]]  # runs both axes, without or with the feature
+    run: Callable[[PlantConfig, int, bool], dict[int, AxisTrace]]  # runs both axes, without or with the feature
     figure: str
-    measure: Callable[[Recording, Shaft], float]  # RMS figure [counts]
+    measure: Callable[[AxisTrace, Shaft], float]  # RMS figure [counts]
     label: str
-    signal: Callable[[Recording], NDArray[np.float64]]  # curve of the picture [counts]
+    signal: Callable[[AxisTrace], NDArray[np.float64]]  # curve of the picture [counts]
     shown: float  # start of the picture [s]
 
 
@@ -170,7 +176,7 @@ TASKS: Final = (
 )  # fmt: skip
 
 
-def deviation_max(task: Task, without: Recording, shaft: Shaft, fraction: float) -> float:
+def deviation_max(task: Task, without: AxisTrace, shaft: Shaft, fraction: float) -> float:
     """Permitted remaining error [counts]: part of the uncompensated friction, and encoder quantisation.
 
     With a larger inertia the loop is slower, and the quantisation error increases by the same factor.
@@ -191,8 +197,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for axis, nominal in enumerate(nominals):
             changed = changed.with_axis(axis, friction=times * nominal.friction, viscous=0.0)
         shafts = [
-            Shaft(entry, max(entry.inertia / nominal.inertia, 1.0))
-            for entry, nominal in zip(changed.axes, nominals, strict=True)
+            Shaft(changed, axis, max(entry.inertia / nominal.inertia, 1.0))
+            for axis, (entry, nominal) in enumerate(zip(changed.axes, nominals, strict=True))
         ]
         found = [(task, task.run(changed, seed, False), task.run(changed, seed, True)) for task in TASKS]
         for axis, shaft in enumerate(shafts):
@@ -210,7 +216,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 
 def _note(
-    times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, Recording], dict[int, Recording]]]
+    times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, AxisTrace], dict[int, AxisTrace]]]
 ) -> str:
     """Note with the figures and the part caused by the inverter."""
     parts = [
@@ -223,7 +229,7 @@ def _note(
     ]
     last = found[-1][2]
     costs = " and ".join(
-        f"{_rms(displacement(last[axis], s.axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
+        f"{_rms(displacement(last[axis], s.plant, axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
         for axis, s in enumerate(shafts)
     )
     return (
@@ -233,7 +239,7 @@ def _note(
     )
 
 
-def _panel(title: str, task: Task, shown: Mapping[str, Recording]) -> Panel:
+def _panel(title: str, task: Task, shown: Mapping[str, AxisTrace]) -> Panel:
     first = round(task.shown / TICK)
     curves = [Curve(how, r.time[first:], task.signal(r)[first:]) for how, r in shown.items()]
     return Panel(title, "time [s]", f"{task.label} [counts]", curves)

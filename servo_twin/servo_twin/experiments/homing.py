@@ -19,7 +19,7 @@ from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.pins import fit
 from servo_twin.experiments.plant_limits import ripple
-from servo_twin.experiments.rig import COUNT, TICK_NS, Recording
+from servo_twin.experiments.rig import COUNT, TICK_NS, AxisTrace
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
 
@@ -275,8 +275,8 @@ class Unhomed:
     """Axes with the feature HOMING that are not homed, with a far position and a speed as set-points."""
 
     start: list[int]  # position at the enable [counts]
-    stationary: dict[int, Recording]  # after the far position set-point
-    turning: dict[int, Recording]  # with the speed set-point
+    stationary: dict[int, AxisTrace]  # after the far position set-point
+    turning: dict[int, AxisTrace]  # with the speed set-point
     reach: float  # permitted distance [counts]
     mask: int  # bit of the expected limit
 
@@ -322,13 +322,21 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge("largest distance beyond the edge", max(off), "counts", *BEYOND_EDGE)
     places.append(_places("switch", off, "x"))
     yield from missing(plant, seed)
-    it = unhomed(plant, seed)
+    unreferenced = unhomed(plant, seed)
     curves: list[Curve] = []
-    for axis, (stationary, turning) in enumerate(zip(it.stationary.values(), it.turning.values(), strict=True)):
-        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.start[axis]
-        named = stationary.limits[-1] & turning.limits[-1] & it.mask
+    for axis, (stationary, turning) in enumerate(
+        zip(unreferenced.stationary.values(), unreferenced.turning.values(), strict=True)
+    ):
+        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - unreferenced.start[axis]
+        named = stationary.limits[-1] & turning.limits[-1] & unreferenced.mask
         yield judge("motion by a refused far set-point", np.ptp(stationary.shaft), "counts", maximum=2.0)
-        yield judge("rotation by a speed set-point", direction.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
+        yield judge(
+            "rotation by a speed set-point",
+            direction.max(),
+            "counts",
+            0.9 * unreferenced.reach,
+            unreferenced.reach + 4.0,
+        )
         yield judge.true("limit flag set", bool(named))
         curves.append(Curve(axis_name(axis), turning.time, direction / COUNTS_PER_TURN))
     beyond = "distance from the stop minus friction / stiffness, or from the edge of a switch"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -53,19 +53,6 @@ class Pair:
         if len(rows) < len(LEVELS):
             return None
         return max(permitted_difference(row.bound) if row.apart is None else row.apart for row in rows)
-
-    @property
-    def part(self) -> float | None:
-        """Difference relative to the permitted one.
-
-        0 for equal figures; infinite for different ones if no difference is permitted; None without a value.
-        """
-        difference, maximum = self.difference, self.difference_max
-        if difference is None or maximum is None or math.isnan(difference):
-            return None
-        if difference == 0.0:
-            return 0.0
-        return abs(difference) / maximum if maximum > 0.0 else math.inf
 
     @property
     def agrees(self) -> bool:
@@ -124,29 +111,50 @@ def table(name: str, every: Sequence[Pair]) -> str:
     return "\n".join([name, "", *(f"  {row.rstrip()}" for row in columns(lines))]) + "\n"
 
 
-def overview(every: Sequence[Pair]) -> str:
-    """One line per experiment: number of figures that agree, and the largest relative difference."""
-    head = ("experiment", "figures", "agree", "largest difference", "relative to the permitted", "figure")
-    lines = [head]
-    for name in dict.fromkeys(pair.name.partition(": ")[0] for pair in every):
-        own = [pair for pair in every if pair.name.startswith(f"{name}: ")]
-        agree = sum(pair.agrees for pair in own)
-        measured = [(pair.part, pair) for pair in own if pair.part is not None]
-        if measured:
-            part, pair = max(measured, key=lambda found: found[0])
-            unit = next((row.unit for row in (pair.ideal, pair.registers) if row is not None), "")
-            largest = f"{_text(pair.difference)} {unit}".strip()
-            worst = (largest, "inf" if math.isinf(part) else f"{part:.2f}", pair.name.partition(": ")[2])
-        else:
-            worst = ("", "", "")
-        lines.append((name, str(len(own)), str(agree), *worst))
-    return "\n".join(f"  {row.rstrip()}" for row in columns(lines)) + "\n"
+def overview(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown table: figures of every experiment, and the one with the largest difference relative to the permitted.
+
+    Parameters
+    ----------
+    entries : sequence of mapping
+        Entries of ``levels.json``, see `Pair.as_dict`.
+    """
+    rows = ["| experiment | figures | agree | largest difference | ideal | registers | bound |"]
+    rows.append("|---|---:|---:|---|---|---|---|")
+    for name in dict.fromkeys(_experiment(entry) for entry in entries):
+        own = [entry for entry in entries if _experiment(entry) == name]
+        measured = [entry for entry in own if entry["difference"] is not None]
+        largest = max(measured, key=lambda entry: (relative_difference(entry), abs(entry["difference"])), default=None)
+        figure, cells = "none has values at both levels", [""] * 3
+        if largest is not None and largest["difference"] == 0.0:
+            figure = "none differs"
+        elif largest is not None:
+            figure, sides = largest["name"].partition(": ")[2], [largest[level] for level in LEVELS]
+            cells = [f"{_text(side['measured'])} {largest['unit']}".strip() for side in sides]
+            cells.append("; ".join(dict.fromkeys(side["bound"] for side in sides)))
+        agree = sum(entry["agrees"] for entry in own)
+        rows.append(f"| `{name}` | {len(own)} | {agree} | {figure} | {' | '.join(cells)} |")
+    agree = sum(entry["agrees"] for entry in entries)
+    rows.append(f"| all | {len(entries)} | {agree} | | | | |")
+    return "\n".join(rows) + "\n"
 
 
-def write(folder: Path, every: Sequence[Pair]) -> Path:
-    """Write ``levels.json``; returns its path."""
+def _experiment(entry: Mapping[str, Any]) -> str:
+    return str(entry["name"]).partition(": ")[0]
+
+
+def relative_difference(entry: Mapping[str, Any]) -> float:
+    """Difference relative to the permitted one; 0 without a value or a limit."""
+    difference, maximum = entry["difference"], entry["difference_max"]
+    if not difference or maximum is None:
+        return 0.0
+    return abs(difference) / maximum if maximum > 0.0 else math.inf
+
+
+def write(folder: Path, entries: Sequence[Mapping[str, Any]]) -> Path:
+    """Write ``levels.json``, and the `overview` as ``levels.md``; returns the path of the first."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / FILE
-    text = json.dumps([pair.as_dict() for pair in every], indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(json.dumps(entries, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    path.with_suffix(".md").write_text(overview(entries), encoding="utf-8")
     return path

@@ -9,7 +9,7 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import COUNT, RPM, Recording, record, set_up, spinning
+from servo_twin.experiments.rig import COUNT, RPM, AxisTrace, record, set_up, spinning
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "low-speed"
@@ -36,14 +36,14 @@ POSITION_ERROR_MAX: Final = 8.0
 """Permitted position error after the measured time [counts]."""
 
 
-def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:
+def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> AxisTrace:
     """Closed loop at a constant set-point [rad/s], after settling."""
     with spinning(plant, seed) as board:
         set_up(board, axis, "SPEED", speed, ENHANCED_MT=enhanced)
         return record(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
 
-def deviation(recording: Recording, speed: float) -> float:
+def deviation(recording: AxisTrace, speed: float) -> float:
     """RMS deviation of the true speed, relative to the set-point [1]."""
     return float(np.sqrt(np.mean((recording.omega - speed) ** 2)) / speed)
 
@@ -61,10 +61,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             ratio = rms[1] / max(rms[0], 1e-9)
             if rpm < RARE_EDGES:
                 rare.append(ratio)
-            says = "2.4.6: better" if rpm < RARE_EDGES else "2.4.6: no difference when edges come often"
+            reference = "2.4.6: better" if rpm < RARE_EDGES else "2.4.6: no difference when edges come often"
             position_error = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
-            yield judge("deviation, enhanced / plain", ratio, maximum=NOISE_RATIO_MAX, reference=says)
+            yield judge("deviation, enhanced / plain", ratio, maximum=NOISE_RATIO_MAX, reference=reference)
             yield judge("position error with enhanced M/T", position_error, "counts", maximum=POSITION_ERROR_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "
@@ -76,7 +76,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield judge("deviation, enhanced / plain", min(rare), maximum=DEVIATION_RATIO_MAX)
 
 
-def _panel(title: str, rpm: float, plain: Recording, better: Recording) -> Panel:
+def _panel(title: str, rpm: float, plain: AxisTrace, better: AxisTrace) -> Panel:
     parts = {"plain M/T": plain.part(SETTLE, SETTLE + 1.0), "enhanced M/T": better.part(SETTLE, SETTLE + 1.0)}
     curves = [Curve(label, part.time - SETTLE, part.omega / RPM) for label, part in parts.items()]
     time = curves[0].x

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, edge_shift, features, fresh_board, record
+from servo_twin.experiments.rig import COUNT, RPM, TICK, AxisTrace, edge_shift, features, fresh_board, record
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "mt-speed"
@@ -67,7 +67,7 @@ class Edges:
         return Edges(self.time[b], self.number[b])
 
 
-def edges_of(recording: Recording, start_angle: float, shift: float = 0.0) -> Edges:
+def edges_of(recording: AxisTrace, start_angle: float, shift: float = 0.0) -> Edges:
     """Edges of a shaft that rotates forwards, with constant acceleration within each slow tick.
 
     All edges are shifted by `shift` [counts].
@@ -102,13 +102,13 @@ class Uncertainty:
 
 
 def uncertainty_of(
-    recording: Recording, start_angle: float, shift: float, now: NDArray[np.float64], counts: NDArray[np.float64]
+    recording: AxisTrace, start_angle: float, shift: float, now: NDArray[np.float64], counts: NDArray[np.float64]
 ) -> Uncertainty:
     """Uncertainty of a recording.
 
     Parameters
     ----------
-    recording : Recording
+    recording : AxisTrace
         Recording of the shaft.
     start_angle : float
         Angle before the recording [rad].
@@ -150,7 +150,7 @@ class Methods:
     uncertainty: Uncertainty  # uncertainty of `m2` and `age` by the encoder
 
 
-def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Recording:
+def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> AxisTrace:
     """Drive the shaft of a disabled motor externally; `speed_at` is the speed after each slow tick [rad/s]."""
     axis = plant.axes[AXIS]
     with fresh_board(plant, seed) as board:
@@ -177,7 +177,7 @@ def start_angle(plant: PlantConfig, seed: int) -> float:
 
 def methods(
     plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float
-) -> tuple[Recording, Methods]:
+) -> tuple[AxisTrace, Methods]:
     """One run with a speed [rad/s] by tick for `seconds` [s], evaluated with all methods."""
     plain = drive(plant, seed, speed_at, seconds, enhanced=False)
     better = drive(plant, seed, speed_at, seconds, enhanced=True)
@@ -296,7 +296,7 @@ class Slowing:
     deviation: float  # largest, from E33 and F19 [timer ticks]
 
 
-def slowing(brake: Recording, slow: Methods) -> Slowing:
+def slowing(brake: AxisTrace, slow: Methods) -> Slowing:
     """Stagnation of every method, and deviation of the enhanced method while the next edge is overdue."""
     moving = (brake.time > 0.05) & (slow.m2 > 0)
     late = moving & (slow.age > slow.m2 + slow.uncertainty.of_m2) & ~slow.uncertainty.of_edge
@@ -338,12 +338,12 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     exact = sum(a == b for a, b in zip(worked_example(), F19_FACTORS, strict=True))
     yield judge("F19, exact values", exact, "of 5", 5.0, 5.0, reference="1, 4/5, 4/8, 4/11, then 1/3")
     brake, slow = methods(plant, seed, braking, 0.1 + BRAKE_TIME + BRAKE_REST)
-    it, what, maximum = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
-    yield judge(what, it.deviation, "ticks", maximum=2.0, reference="F19: M2 / TMR3")
-    yield judge("T, stagnation", 1e3 * it.t, "ms", 5.0, reference="2.4.5: until the next pulse")
-    yield judge("M/T, stagnation", 1e3 * it.mt, "ms", 5.0, reference="F18: until the next pulse")
-    says = "F19: none beyond the slow loop"
-    yield judge("enhanced M/T, stagnation", 1e3 * it.enhanced, "ms", maximum=maximum, reference=says)
+    braked, what, maximum = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
+    yield judge(what, braked.deviation, "ticks", maximum=2.0, reference="F19: M2 / TMR3")
+    yield judge("T, stagnation", 1e3 * braked.t, "ms", 5.0, reference="2.4.5: until the next pulse")
+    yield judge("M/T, stagnation", 1e3 * braked.mt, "ms", 5.0, reference="F18: until the next pulse")
+    reference = "F19: none beyond the slow loop"
+    yield judge("enhanced M/T, stagnation", 1e3 * braked.enhanced, "ms", maximum=maximum, reference=reference)
     yield _error_panel(found)
     yield _brake_panel(brake, slow)
     yield f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts"
@@ -360,7 +360,7 @@ def _error_panel(found: dict[float, Steady]) -> Panel:
     return Panel("largest error at steady speed", "speed [rpm]", "error [%]", curves, log_x=True, log_y=True)
 
 
-def _brake_panel(brake: Recording, slow: Methods) -> Panel:
+def _brake_panel(brake: AxisTrace, slow: Methods) -> Panel:
     part = slice(round((0.1 + 0.7 * BRAKE_TIME) / TICK), None)
     time = 1e3 * brake.time[part]
     named = {"true": brake.omega, "T": slow.t, "M/T": slow.mt, "enhanced M/T": slow.enhanced}

@@ -157,8 +157,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield _over_speed(name, points)
         errors = {"dead time compensated": slow, "not compensated": doubled}
         curves = [
-            Curve(label, it.trace.time, degrees(it.trace.angle - it.trace.used) - it.mean)
-            for label, it in errors.items()
+            Curve(label, error.trace.time, degrees(error.trace.angle - error.trace.used) - error.mean)
+            for label, error in errors.items()
         ]
         yield Panel(f"{what}, {slow.i_q:.2g} A: error minus its mean", "time [s]", "error [deg]", curves)
 
@@ -195,10 +195,10 @@ def _sensitivity(
             change, theory = point.mean - before.mean, theoretical_error(motor, motor, point.speed, before.i_q)
             expected = theoretical_error(other.axes[axis], motor, point.speed, point.i_q) - theory
             away, largest = max(away, abs(change - expected)), max(largest, abs(change))
-        what, says = f"Ls x {inductance:g}", "moderately sensitive to Ls"
+        label, reference = f"Ls x {inductance:g}", "moderately sensitive to Ls"
         if r_s != 1.0:
-            what, says = f"Rs x {r_s:g}", "not very sensitive to Rs"
-        judge = Judge(f"{axis_name(axis)}, {what}, ", says)
+            label, reference = f"Rs x {r_s:g}", "not very sensitive to Rs"
+        judge = Judge(f"{axis_name(axis)}, {label}, ", reference)
         if r_s != 1.0:
             yield judge("change of the error", largest, "deg", maximum=THEORY_ERROR_MAX)
         yield judge("difference between measured and theoretical change", away, "deg", maximum=THEORY_ERROR_MAX)

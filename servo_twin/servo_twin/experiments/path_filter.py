@@ -12,7 +12,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.experiments.rig import COUNT, TICK, Recording
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "path-filter"
@@ -64,7 +64,7 @@ def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: flo
     return 0.5 * (low + high)
 
 
-def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Recording, float, int]:
+def record(plant: PlantConfig, seed: int, limit: float) -> tuple[AxisTrace, float, int]:
     """One long move with a speed limit [rad/s]: recording, speed limit [counts/s] and distance [counts]."""
     with rig.spinning(plant, seed) as board:
         target = rig.position_of(board, AXIS) + round(TURNS * COUNTS_PER_TURN)
@@ -75,7 +75,7 @@ def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Recording, floa
         return rig.record(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
 
 
-def figures(recording: Recording, speed: float, distance: int, axis_limit: float) -> Iterator[Row]:
+def figures(recording: AxisTrace, speed: float, distance: int, axis_limit: float) -> Iterator[Row]:
     """Rows for a path; `axis_limit` is the largest acceleration of the drive [counts/s^2]."""
     duration = distance / speed
     path = recording.position_ref - (recording.position_ref[-1] - distance)

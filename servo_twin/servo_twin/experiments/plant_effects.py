@@ -14,7 +14,7 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import TICK, Recording, choose_mode, record, set_axis, set_up, spinning
+from servo_twin.experiments.rig import TICK, AxisTrace, choose_mode, record, set_axis, set_up, spinning
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "real-shaft"
@@ -93,7 +93,7 @@ def ringing(board: Board, axis: int) -> Comparison:
     )
 
 
-def held_speed(board: Board, axis: int, speed: float, seconds: float) -> Recording:
+def held_speed(board: Board, axis: int, speed: float, seconds: float) -> AxisTrace:
     """Recording of `seconds` [s] at a constant speed [rad/s]."""
     set_up(board, axis, "SPEED", speed)
     record(board, [axis], SETTLE)

@@ -16,14 +16,9 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments import rig
 from servo_twin.experiments.rig import COUNT, TICK
+from servo_twin.firmware_build import nominal_configuration
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
-
-OVER_VOLTAGE: Final = 33.0
-"""Over-voltage limit of the drive [V]."""
-
-MODULATION: Final = 0.94 / math.sqrt(3.0)
-"""Largest phase voltage of the drive relative to the bus voltage."""
 
 CURRENT_SHARE: Final = 0.8
 """Fraction of the current limit for set-points; the remainder is for the controller."""
@@ -41,7 +36,7 @@ PROBE_HALVINGS: Final = 6
 """How often the step may be halved, for a large inertia, to stay within the current limit."""
 
 PATH_END: Final = 13.0
-"""Settling time of the path filter in time constants: (1 + t) exp(-t) is below two counts for every move."""
+"""Settling time of the path filter in time constants: then (1 + t) exp(-t) = 3e-5 of the ramp is left."""
 
 NOMINAL_PATH_END: Final = 0.13  # settling time of the path filter for the nominal plant [s]
 
@@ -61,9 +56,19 @@ class NominalShaft:
 class Demand:
     """Requirements of a set-point."""
 
-    acceleration: float
+    acceleration_per_speed: float
     """Largest acceleration per speed of the ramp; the path filter makes them proportional [1/s]."""
     current: float  # current limit [A]
+
+
+def over_voltage() -> float:
+    """Over-voltage limit of the drive [V]."""
+    return nominal_configuration().board("over_voltage")
+
+
+def modulation() -> float:
+    """Largest phase voltage of the drive relative to the bus voltage."""
+    return nominal_configuration().board("voltage_use") / math.sqrt(3.0)
 
 
 def nominal_shafts(plant: PlantConfig, seed: int) -> tuple[NominalShaft, ...]:
@@ -186,7 +191,7 @@ def path_ends(plant: PlantConfig, seed: int) -> list[float]:
 
     With E40 and damping 1, a speed step v has a largest acceleration of v omega_n / e.
     """
-    return [PATH_END / (math.e * demand.acceleration) for demand in path_demands(plant, seed)]
+    return [PATH_END / (math.e * demand.acceleration_per_speed) for demand in path_demands(plant, seed)]
 
 
 def path_settles(plant: PlantConfig, seed: int, nominal: float) -> list[float]:
@@ -267,12 +272,12 @@ def top_speed(
 def _drives(plant: PlantConfig, axis: int, speed: float, demand: Demand | None, share: float) -> bool:
     """True if current and voltage are sufficient."""
     entry = plant.axes[axis]
-    acceleration = 0.0 if demand is None else demand.acceleration * speed
+    acceleration = 0.0 if demand is None else demand.acceleration_per_speed * speed
     maximum = (entry.inertia * acceleration + entry.friction) / entry.torque_constant
     # E38: at nine tenths of the speed the acceleration has decreased to a fifth.
     at_speed = (0.2 * entry.inertia * acceleration + entry.friction + entry.viscous * speed) / entry.torque_constant
     return (demand is None or maximum <= share * demand.current) and _voltage(entry, speed, at_speed) <= (
-        MODULATION * plant.bus.u_source
+        modulation() * plant.bus.u_source
     )
 
 
@@ -299,4 +304,4 @@ def _voltage(axis: AxisPlant, speed: float, current: float) -> float:
 def _absorbs(plant: PlantConfig, axes: list[int], speed: float) -> bool:
     """True if the capacitor can absorb the kinetic energy; losses are neglected (safe side)."""
     energy = sum(0.5 * plant.axes[axis].inertia * speed**2 for axis in axes)
-    return energy <= ENERGY_SHARE * 0.5 * plant.bus.capacitance * (OVER_VOLTAGE**2 - plant.bus.u_source**2)
+    return energy <= ENERGY_SHARE * 0.5 * plant.bus.capacitance * (over_voltage() ** 2 - plant.bus.u_source**2)

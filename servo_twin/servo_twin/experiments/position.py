@@ -16,8 +16,8 @@ from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import displacement, displacement_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles
-from servo_twin.experiments.rig import COUNT, TICK, Recording
-from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.plant import PlantConfig
 
 NAME: Final = "position"
 HELP: Final = """\
@@ -44,7 +44,7 @@ REFERENCE_NONE: Final = "no figure given"
 class Move:
     """Result of one move [counts], except where noted."""
 
-    recording: Recording
+    recording: AxisTrace
     overshoot: float  # largest distance beyond the target
     cycle: float  # peak to peak of the position after arrival, over the last half second
     error: float  # mean distance from the target over the last half second
@@ -55,11 +55,11 @@ class Move:
     displacement_range: float  # peak to peak of this displacement over the last half second
 
 
-def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:
+def measure(recording: AxisTrace, target: int, ramp_end: float, plant: PlantConfig, axis: int) -> Move:
     """Evaluate a move that starts with the recording; `target` in counts, `ramp_end` in seconds."""
     last = recording.part(recording.time[-1] - REST / 2.0).position
-    inverter_displacement = displacement_at(recording, shaft, target, COUNTS_MAX)
-    displacement_range = displacement(recording, shaft, position=True)[-last.size :]
+    inverter_displacement = displacement_at(recording, plant, axis, target, COUNTS_MAX)
+    displacement_range = displacement(recording, plant, axis, position=True)[-last.size :]
     return Move(
         recording,
         overshoot=rig.overshoot(recording, target),
@@ -85,7 +85,7 @@ def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SE
             rig.command_position(board, axis, target)
 
     recording = rig.record(board, [axis], duration + settle + REST, act)[axis]
-    return measure(recording, target, duration, board.plant.axes[axis])
+    return measure(recording, target, duration, board.plant, axis)
 
 
 @experiment(NAME)
@@ -115,7 +115,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield lowered
 
 
-def _panels(how: str, recordings: list[Recording]) -> Iterator[Panel]:
+def _panels(how: str, recordings: list[AxisTrace]) -> Iterator[Panel]:
     whole: list[Curve] = []
     for axis, r in enumerate(recordings):
         for what, y, style in (("", r.position, ""), (" set-point", r.position_ref, "--")):

@@ -39,7 +39,7 @@ SLOW: Final = 0.2 * COUNT / TICK  # speed with negligible motion between true va
 
 
 @dataclass(frozen=True)
-class Recording:
+class AxisTrace:
     """One axis over time, one entry per slow tick."""
 
     time: NDArray[np.float64]  # since the start of the recording [s]
@@ -73,11 +73,11 @@ class Recording:
         slow[0] = True
         return np.asarray(counts - np.round(np.median((counts - self.position)[slow]) - 0.5) - 0.5)
 
-    def part(self, start: float, end: float | None = None) -> Recording:
+    def part(self, start: float, end: float | None = None) -> AxisTrace:
         """Ticks after `start` and up to `end` [s]; `time` is not shifted."""
         before = round(float(self.time[0]) / TICK) - 1
         ticks = slice(max(round(start / TICK) - before, 0), None if end is None else max(round(end / TICK) - before, 0))
-        return Recording(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
+        return AxisTrace(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
 
 
 _level: Final[ContextVar[Level | None]] = ContextVar("level", default=None)
@@ -148,7 +148,7 @@ def record(
     act: Callable[[int], None] | None = None,
     *,
     may_fail: bool = False,
-) -> dict[int, Recording]:
+) -> dict[int, AxisTrace]:
     """Run in slow ticks and record signals of the firmware and true values.
 
     Parameters
@@ -204,7 +204,7 @@ def _refuse_faults(board: Board, log: NDArray[np.void]) -> None:
 
 def _recording(
     board: Board, log: NDArray[np.void], axis: int, truths: list[tuple[float, float, float, float, float]]
-) -> Recording:
+) -> AxisTrace:
     name, si = axis_name(axis), board.si(log)
     columns: dict[str, Any] = {"time": TICK * np.arange(1, log.size + 1, dtype=np.float64)}
     for signal in ("position", "position_ref"):
@@ -214,7 +214,7 @@ def _recording(
     for signal in ("limits", "faults", "state", "substate"):
         columns[signal] = log[f"{name}.{signal}"].astype(np.int64)
     true = ("theta", "omega", "i_q_true", "torque", "u_dc")
-    return Recording(**columns, **dict(zip(true, np.array(truths).T, strict=True)))
+    return AxisTrace(**columns, **dict(zip(true, np.array(truths).T, strict=True)))
 
 
 def set_axis(board: Board, name: str, axis: int, value: float) -> None:
@@ -341,7 +341,7 @@ def command_speed(board: Board, axis: int, speed: float) -> None:
     set_axis(board, "cmd.speed", axis, speed)
 
 
-def settled_from(recording: Recording, signal: NDArray[np.float64], low: float, high: float) -> float | None:
+def settled_from(recording: AxisTrace, signal: NDArray[np.float64], low: float, high: float) -> float | None:
     """Time from which a signal stays within low .. high [s]; None: it does not."""
     outside = np.nonzero((signal < low) | (signal > high))[0]
     if outside.size == 0:
@@ -350,13 +350,13 @@ def settled_from(recording: Recording, signal: NDArray[np.float64], low: float, 
     return float(recording.time[last]) if last + 1 < recording.time.size else None
 
 
-def settling_time(recording: Recording, target: float, within: float, since: float) -> float | None:
+def settling_time(recording: AxisTrace, target: float, within: float, since: float) -> float | None:
     """Settling time from `since` until the position stays within `within` counts of a target [s]; None: it does not."""
     time = settled_from(recording, recording.position, target - within, target + within)
     return None if time is None else max(time - since, 0.0)
 
 
-def overshoot(recording: Recording, target: float) -> float:
+def overshoot(recording: AxisTrace, target: float) -> float:
     """Largest overshoot of a move that starts with the recording [counts]."""
     direction = 1.0 if target >= recording.position[0] else -1.0
     return max(float((direction * (recording.position - target)).max()), 0.0) + 0.0

@@ -175,12 +175,14 @@ def find(
                 for axis in axes:
                     search_fault.inject(board, axis)
             rows = board.record(board.time_ns + round(pause / TICK) * TICK_NS)
+            if not rows.size:  # at level registers the time of a slow tick varies by some cycles of the core
+                continue
             logs.append(rows.tobytes())
             last = rows[-1]
             for axis in range(AXES):
                 name = axis_name(axis)
                 if trace:
-                    vectors[axis].append(_vector(board, axis))
+                    vectors[axis] += [_vector(board, axis)] * rows.size
                 if spins[axis] and found[axis] is None:
                     done[axis] = True
                     true = math.degrees(plant.axes[axis].pole_pairs * board.truth(axis).theta_m)

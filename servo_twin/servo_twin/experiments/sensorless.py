@@ -93,8 +93,8 @@ def ended(board: Board, axis: int) -> str:
     return "" if word(board, axis, "substate") == substate(board, "SPIN") else "the axis has switched off"
 
 
-def ended_without_load(board: Board, axis: int) -> bool:
-    """True if an axis is no longer in closed loop; then removes its load, which would reverse the shaft."""
+def remove_load_if_ended(board: Board, axis: int) -> bool:
+    """Remove the load, which would reverse the shaft, if an axis is no longer in closed loop; true if so."""
     if not ended(board, axis):
         return False
     board.set_load(axis, 0.0)

@@ -14,7 +14,7 @@ from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import current_limits
 from servo_twin.experiments.rig import RPM, command_speed
-from servo_twin.experiments.sensorless import Trace, ended, ended_without_load, follow, limits_of, started
+from servo_twin.experiments.sensorless import Trace, ended, follow, limits_of, remove_load_if_ended, started
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "sensorless-load-step"
@@ -82,7 +82,7 @@ def _loaded(board: Board, axis: int, torque: float, speed: float) -> tuple[Trace
     end = ""
     for load in (torque, 0.0):
         board.set_load(axis, load)
-        traces.append(follow(board, [axis], LOADED, lambda _: ended_without_load(board, axis))[axis])
+        traces.append(follow(board, [axis], LOADED, lambda _: remove_load_if_ended(board, axis))[axis])
         end = end or ended(board, axis) or _slow(traces[-1], speed)
     return traces[0], end
 
@@ -100,16 +100,19 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         name, motor = axis_name(axis), plant.axes[axis]
         found = [largest_step(plant, seed, axis, part, STEPS) for part in SPEEDS]
         maximum = 1e3 * LOAD_MAX * currents[axis] * motor.torque_constant
-        theory = [1e3 * it.speed / theoretical_speed_drop(motor, 1.0) for it in found]
-        for it, step in zip(found, theory, strict=True):
-            where = f"{name} at {it.speed / RPM:.0f} rpm"
-            yield Judge(f"{where}, ", NOT_SHOWN)("largest tolerated step", 1e3 * it.torque, "mN m", min(step, maximum))
-            after = f"next step: {it.end}" if it.end else "largest tested step"
-            yield (
-                f"{where}: {1e3 * it.torque:.0f} mN m reduce the speed by {it.speed_drop / RPM:.0f} rpm, theory "
-                f"{theoretical_speed_drop(motor, it.torque) / RPM:.0f} rpm; {after}"
+        theory = [1e3 * largest.speed / theoretical_speed_drop(motor, 1.0) for largest in found]
+        for largest, step in zip(found, theory, strict=True):
+            where = f"{name} at {largest.speed / RPM:.0f} rpm"
+            yield Judge(f"{where}, ", NOT_SHOWN)(
+                "largest tolerated step", 1e3 * largest.torque, "mN m", min(step, maximum)
             )
-        x, tolerated = np.array([it.speed / RPM for it in found]), np.array([1e3 * it.torque for it in found])
+            after = f"next step: {largest.end}" if largest.end else "largest tested step"
+            yield (
+                f"{where}: {1e3 * largest.torque:.0f} mN m reduce the speed by {largest.speed_drop / RPM:.0f} rpm, "
+                f"theory {theoretical_speed_drop(motor, largest.torque) / RPM:.0f} rpm; {after}"
+            )
+        x = np.array([largest.speed / RPM for largest in found])
+        tolerated = np.array([1e3 * largest.torque for largest in found])
         theory_curve = Curve(f"theoretical speed drop to standstill, {BANDWIDTH:g} Hz", x, np.array(theory), "--")
         curves = Curve("tolerated", x, tolerated, "o-"), theory_curve
         yield Panel(f"{name}: largest load step", "speed [rpm]", "torque [mN m]", curves, log_x=True)

@@ -220,14 +220,18 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             *((f"oscillating with {f:g} Hz", SPEEDS[1], f, "not detected", OSCILLATING_MAX) for f in FREQUENCIES),
         ]
         for what, part, frequency, reference, maximum in cases:
-            it, judge = stall(plant, seed, axis, part, frequency), Judge(f"{name}, {what}, ", reference)
-            time = None if it.detected is None else 1e3 * it.detected
+            stalled, judge = stall(plant, seed, axis, part, frequency), Judge(f"{name}, {what}, ", reference)
+            time = None if stalled.detected is None else 1e3 * stalled.detected
             yield judge("time until outputs off", time, "ms", maximum=1e3 * maximum)
-            named, error = it.faults == "SPEED_FEEDBACK", "error on speed feedback"
+            named, error = stalled.faults == "SPEED_FEEDBACK", "error on speed feedback"
             yield judge.true("reported fault SPEED_FEEDBACK", named, reference=error)
-            alone = f"not in {OBSERVED:g} s" if it.variance_time is None else f"after {1e3 * it.variance_time:.0f} ms"
-            yield f"{name}, {what}: {it.faults or 'no fault'}; variance criterion alone: {alone}"
-            shown["rigidly blocked" if frequency is None else f"{frequency:g} Hz"] = it.trace
+            alone = (
+                f"not in {OBSERVED:g} s"
+                if stalled.variance_time is None
+                else f"after {1e3 * stalled.variance_time:.0f} ms"
+            )
+            yield f"{name}, {what}: {stalled.faults or 'no fault'}; variance criterion alone: {alone}"
+            shown["rigidly blocked" if frequency is None else f"{frequency:g} Hz"] = stalled.trace
         curves: list[Curve] = []
         for label, trace in shown.items():
             late = trace.time > BEFORE - 0.05

@@ -16,7 +16,7 @@ from servo_twin.board import Board
 from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles, ripple
-from servo_twin.experiments.rig import COUNT, TICK, Recording
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "soft-limits"
@@ -87,9 +87,9 @@ class Run:
     """Run of one axis into a limit."""
 
     limit: int  # position limit [counts]
-    out: Recording
+    out: AxisTrace
     reported: float  # fraction of the time in which axisN.limits reported the limit
-    back: Recording | None = None  # motion away from the limit
+    back: AxisTrace | None = None  # motion away from the limit
 
     @property
     def beyond(self) -> float:
@@ -97,7 +97,7 @@ class Run:
         return float((self.out.shaft - self.limit).max())
 
 
-def _reported(recording: Recording, mask: int, seconds: float = FLAG_LAST) -> float:
+def _reported(recording: AxisTrace, mask: int, seconds: float = FLAG_LAST) -> float:
     words = recording.limits[-round(seconds / TICK) :]
     return float(np.mean((words & mask) != 0))
 
@@ -134,7 +134,7 @@ def load_overtravel(plant: PlantConfig, seed: int, limited: bool) -> list[float]
     return [float((both[axis].shaft - limit).max()) for axis, limit in enumerate(limits)]
 
 
-def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Recording]]:
+def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, AxisTrace]]:
     """Set the upper limit below the present position of both shafts; then a target beyond it, and one inside."""
     settle = max(path_settles(plant, seed, SETTLE))
     with rig.spinning(plant, seed) as board:
@@ -206,7 +206,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         free, limited = (run_to_speed_limit(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
         for name, *pair in zip(names, free, limited, strict=True):
             maximum, minimum = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
-            without, with_it = (float(np.abs(it.out.omega).max()) for it in pair)
+            without, with_it = (float(np.abs(one_run.out.omega).max()) for one_run in pair)
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
             yield judge("highest speed without the limit", without, "rad/s", minimum)
             yield judge("highest speed with the limit", with_it, "rad/s", maximum=maximum)
@@ -214,7 +214,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     free, limited = (run_to_current_limit(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
-        without, with_it = (float(np.abs(it.out.i_q_true).max()) for it in pair)
+        without, with_it = (float(np.abs(one_run.out.i_q_true).max()) for one_run in pair)
         maximum = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
         yield judge("largest current without the limit", without, "A", 1.5 * CURRENT_LIMIT)
         yield judge("largest current with the limit", with_it, "A", maximum=maximum)

@@ -15,14 +15,14 @@ from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import displacement, displacement_counts
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import NominalShaft, nominal_shafts
-from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
-from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.experiments.rig import COUNT, RPM, TICK, AxisTrace
+from servo_twin.plant import PlantConfig
 
 NAME: Final = "speed-observer"
 HELP: Final = """\
 Beyond the reference design: an observer estimates the speed from position and current (feature SPEED_OBSERVER),
 without waiting for an edge. Compared with the enhanced M/T method with the same gains, on a shaft with nominal inertia
-and friction: 2 and 5 rpm, where the last edge is tens of milliseconds old; the following error of a move with
+and friction: 2 and 5 rpm, where edges of a track are 15 and 6 ms apart; the following error of a move with
 feed-forward. Then position hold, also with other frictions and inertias. Disadvantages, given in the notes: lower
 stiffness under load, and above some 10 rpm M/T is smoother."""
 
@@ -51,14 +51,14 @@ MEAN_MAX: Final = 1.0
 BETTER: Final = 1.0
 
 
-Pair = tuple[Recording, Recording]
+Pair = tuple[AxisTrace, AxisTrace]
 """The same run with the M/T method and with the observer."""
 
 
-def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recording]) -> Pair:
+def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], AxisTrace]) -> Pair:
     """Run `play` on a new board without, and on another one with the observer."""
 
-    def once(observer: bool) -> Recording:
+    def once(observer: bool) -> AxisTrace:
         with rig.spinning(plant, seed) as board:
             rig.features(board, axis, SPEED_OBSERVER=observer)
             return play(board)
@@ -69,7 +69,7 @@ def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recor
 def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
     """A constant speed [rad/s], once it has settled."""
 
-    def play(board: Board) -> Recording:
+    def play(board: Board) -> AxisTrace:
         rig.set_up(board, axis, "SPEED", speed)
         return rig.record(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
@@ -86,7 +86,7 @@ def shaft(
 def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
     """A move with feed-forward, and the hold after it."""
 
-    def play(board: Board) -> Recording:
+    def play(board: Board) -> AxisTrace:
         rig.features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
         rig.command_position(board, axis, rig.position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
         return rig.record(board, [axis], ARRIVED + HELD)[axis]
@@ -97,37 +97,37 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
 def push(plant: PlantConfig, seed: int, axis: int) -> Pair:
     """A load step at standstill, within what the motor can hold."""
 
-    def play(board: Board) -> Recording:
+    def play(board: Board) -> AxisTrace:
         board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
         return rig.record(board, [axis], HELD)[axis]
 
     return both(plant, seed, axis, play)
 
 
-def rms(recording: Recording, speed: float) -> float:
+def rms(recording: AxisTrace, speed: float) -> float:
     """RMS deviation of the true speed [rad/s]."""
     return float(np.sqrt(np.mean((recording.omega - speed) ** 2)))
 
 
-def ratio_uncertainty(without: Recording, axis: AxisPlant, speed: float) -> float:
+def ratio_uncertainty(without: AxisTrace, plant: PlantConfig, axis: int, speed: float) -> float:
     """Statistical uncertainty of the ratio of two RMS deviations.
 
     The dead zone of the inverter disturbs both runs. Its part of the deviation is a random sample with one value per
-    edge of track B: an RMS of n values has a relative standard deviation of sqrt(1 / 2 n), the ratio of two of
+    edge of track B: an RMS of n values has a relative standard deviation of sqrt(1 / (2 n)), the ratio of two of
     sqrt(1 / n).
     """
     edges = MEASURED * speed / COUNT / 2.0
-    disturbed = np.gradient(displacement(without, axis, position=False) * COUNT, TICK)
+    disturbed = np.gradient(displacement(without, plant, axis, position=False) * COUNT, TICK)
     share = min(float(np.mean(disturbed**2)) / rms(without, speed) ** 2, 1.0)
     return share / math.sqrt(edges)
 
 
-def following(recording: Recording) -> float:
+def following(recording: AxisTrace) -> float:
     """Largest following error against the shaped set-point [counts]."""
     return float(np.abs(recording.position_ref - recording.position).max())
 
 
-def held(recording: Recording) -> float:
+def held(recording: AxisTrace) -> float:
     """Peak-to-peak true motion in position hold [counts]."""
     return float(np.ptp(recording.part(ARRIVED).theta)) / COUNT
 
@@ -141,7 +141,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             speed, judge = rpm * RPM, Judge(f"{name} at {rpm:g} rpm, ")
             without, observed = creep(nominal_plant, seed, axis, speed)
             error = 100.0 * abs(float(observed.omega.mean()) / speed - 1.0)
-            better = BETTER + ratio_uncertainty(without, nominal_plant.axes[axis], speed)
+            better = BETTER + ratio_uncertainty(without, nominal_plant, axis, speed)
             yield judge("error of the mean true speed", error, "%", maximum=MEAN_MAX)
             yield judge("deviation with / without observer", rms(observed, speed) / rms(without, speed), maximum=better)
             if axis == 0:
@@ -155,7 +155,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for inertia, friction in HOLDS:
             other = shaft(plant, axis, nominal, inertia, friction)
             without, observed = move(other, seed, axis)
-            inverter_displacement = displacement_counts(observed, other.axes[axis], ARRIVED, inertia)
+            inverter_displacement = displacement_counts(observed, other, axis, ARRIVED, inertia)
             motion_max = max(CYCLE_MAX + 2.0 * inverter_displacement, held(without))
             what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, "
             yield Judge(what)("movement", held(observed), "counts", maximum=motion_max)
@@ -172,7 +172,7 @@ def _costs(plant: PlantConfig, seed: int, axis: int, moved: Pair) -> Iterator[st
     yield f"{name} at {COST_SPEED:g} rpm: deviation {rough[0]:.2g} rpm without, {rough[1]:.2g} rpm with it"
 
 
-def _creep_panel(title: str, without: Recording, observed: Recording, rpm: float) -> Panel:
+def _creep_panel(title: str, without: AxisTrace, observed: AxisTrace, rpm: float) -> Panel:
     parts = {"M/T": without.part(SETTLE, SETTLE + 1.0), "observer": observed.part(SETTLE, SETTLE + 1.0)}
     curves = [Curve(label, r.time, r.omega / RPM) for label, r in parts.items()]
     time = curves[0].x
@@ -180,7 +180,7 @@ def _creep_panel(title: str, without: Recording, observed: Recording, rpm: float
     return Panel(f"{title}: true speed", "time [s]", "speed [rpm]", curves)
 
 
-def _move_panel(name: str, without: Recording, observed: Recording) -> Panel:
+def _move_panel(name: str, without: AxisTrace, observed: AxisTrace) -> Panel:
     parts = {"M/T": without.part(0.0, 0.4), "observer": observed.part(0.0, 0.4)}
     curves = [Curve(label, r.time, r.position_ref - r.position) for label, r in parts.items()]
     title = f"{name}, {MOVE:g} turn with feed-forward: shaped set-point - position"

@@ -233,8 +233,10 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
     for axis, trace in nominal(plant, seed).items():
         judge, found = Judge(f"{axis_name(axis)}, "), examine(trace, startup, spin)
         for name, _, _, maximum, value in TIMES:
-            seconds, says = value(found), f"{1e3 * maximum:.0f} ms on the waveforms"
-            yield judge(name, None if seconds is None else 1e3 * seconds, "ms", maximum=1e3 * maximum, reference=says)
+            seconds, reference = value(found), f"{1e3 * maximum:.0f} ms on the waveforms"
+            yield judge(
+                name, None if seconds is None else 1e3 * seconds, "ms", maximum=1e3 * maximum, reference=reference
+            )
         time = 1e3 * trace.time
         waveforms = (
             Curve("error of the angle [deg]", time, trace.error),

@@ -9,7 +9,7 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.experiments.rig import COUNT, TICK, Recording, at, record, set_axis, settling_time, spinning
+from servo_twin.experiments.rig import COUNT, TICK, AxisTrace, at, record, set_axis, settling_time, spinning
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "stiffness"
@@ -33,7 +33,7 @@ def deflection_min(axis: AxisPlant) -> float:
     return 0.5 * free / axis.inertia * TICK**2
 
 
-def load_step(plant: PlantConfig, seed: int, axis: int) -> Recording:
+def load_step(plant: PlantConfig, seed: int, axis: int) -> AxisTrace:
     """Apply and remove the nominal torque."""
     torque = NOMINAL * plant.axes[axis].torque_constant
     with spinning(plant, seed) as board:
@@ -55,7 +55,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield f"load: the torque of {NOMINAL:g} A, limit {LIMIT:g} A; stiffness: torque over the largest deflection"
 
 
-def _rows(judge: Judge, motor: AxisPlant, r: Recording) -> Iterator[Row]:
+def _rows(judge: Judge, motor: AxisPlant, r: AxisTrace) -> Iterator[Row]:
     loaded, after, target = r.part(LEAD, LEAD + LOADED), r.part(LEAD + LOADED), float(r.position_ref[0])
     deflection = float(np.abs(loaded.theta - r.part(0.0, LEAD).theta[-1]).max())
     torque = NOMINAL * motor.torque_constant

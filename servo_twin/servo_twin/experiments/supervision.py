@@ -15,7 +15,7 @@ from servo_twin.board import Board
 from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.experiments.rig import TICK, Recording
+from servo_twin.experiments.rig import TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "supervision"
@@ -62,10 +62,10 @@ class Response:
     time: float | None  # from the cause to outputs off [s]
     fault: int  # faults at this time
     turned: float  # motion of the shaft from the cause to outputs off, or to the end [turns]
-    recording: Recording
+    recording: AxisTrace
 
     @classmethod
-    def of(cls, recording: Recording, cause: float) -> Response:
+    def of(cls, recording: AxisTrace, cause: float) -> Response:
         """Evaluate a recording; `cause` in seconds."""
         run = Catalogue.load().enums["state_t"]["RUN"]
         off = (recording.state != run) & (recording.time > cause)
@@ -99,7 +99,7 @@ Action = Callable[[Bench, Board, int], None]
 
 def play(
     bench: Bench, on: bool, prepare: Action, act: Callable[[Board, int], None], seconds: float
-) -> dict[int, Recording]:
+) -> dict[int, AxisTrace]:
     """Run both axes with the features on or off; `act` is called with the number of each slow tick."""
     with rig.spinning(bench.plant, bench.seed) as board:
         for axis in range(AXES):
@@ -164,7 +164,7 @@ class Cause:
         both = play(bench, on, self.prepare, act, CAUSE + OBSERVED)
         return [Response.of(r, self._since(bench, axis, r)) for axis, r in both.items()]
 
-    def _since(self, bench: Bench, axis: int, r: Recording) -> float:
+    def _since(self, bench: Bench, axis: int, r: AxisTrace) -> float:
         if self.fault != "OVER_SPEED":
             return CAUSE
         beyond = np.abs(r.omega) > OVER_SPEED * SPEED * bench.speeds[axis]
@@ -243,7 +243,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             )
             yield f"{what}without {_description(without, masks)}; with {_description(supervised, masks)}"
             ends = {"without": without, "with": supervised}
-            curves += [_until_off(f"{axis_name(axis)} {how}", it) for how, it in ends.items()]
+            curves += [_until_off(f"{axis_name(axis)} {how}", end) for how, end in ends.items()]
         yield Panel(f"{cause.name}: until the outputs are off", "time [s]", "speed [rad/s]", curves)
     for how, forward in (("", False), (", with feed-forward", True)):
         yield Judge().none(f"hard moves and load steps{how}: faults", permitted_operation(bench, forward))

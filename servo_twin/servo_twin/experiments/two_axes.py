@@ -13,8 +13,8 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_twin.board import Board
 from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.plant_limits import OVER_VOLTAGE, current_limits, top_speed
-from servo_twin.experiments.rig import RPM, TICK, Recording
+from servo_twin.experiments.plant_limits import current_limits, over_voltage, top_speed
+from servo_twin.experiments.rig import RPM, TICK, AxisTrace
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "two-axes"
@@ -42,7 +42,7 @@ DEVIATION_MAX: Final = 1.0  # permitted increase of the deviation [% of the set-
 UNDER_VOLTAGE: Final = 16.0  # [V]
 
 
-Pair = tuple[Recording, Recording]
+Pair = tuple[AxisTrace, AxisTrace]
 """Recordings of the observed and of the disturbing axis."""
 
 
@@ -97,13 +97,13 @@ def turn(plant: PlantConfig, seed: int, observed: int, reversals: Reversals | No
     return both[observed], both[other]
 
 
-def hold(plant: PlantConfig, seed: int, observed: int, reversals: Reversals) -> Recording:
+def hold(plant: PlantConfig, seed: int, observed: int, reversals: Reversals) -> AxisTrace:
     """The observed axis holds its position while the other axis reverses."""
     with rig.spinning(plant, seed) as board:
         return rig.record(board, [observed], MEASURED, reversals.prepare(board, 1 - observed))[observed]
 
 
-def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, Recording]:
+def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, AxisTrace]:
     """Both axes at a speed [rad/s], then set-point zero for both simultaneously."""
     accelerations = [acceleration_of(plant, seed, axis) for axis in range(AXES)]
     with rig.spinning(plant, seed) as board:
@@ -119,7 +119,7 @@ def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, Recording]:
         return rig.record(board, range(AXES), BRAKE_TIME, rig.at({0.0: stop}), may_fail=True)
 
 
-def deviation(recording: Recording) -> float:
+def deviation(recording: AxisTrace) -> float:
     """Largest deviation of the true speed from `CONSTANT` [rad/s]."""
     return float(np.abs(recording.omega - CONSTANT).max())
 
@@ -139,7 +139,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         variation, minimum = np.ptp(together.u_dc), BUS_VARIATION_MIN * reversals.bus_rise(plant, 1 - observed)
         reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
         yield judge(
-            ", the other reverses: bus voltage variation", variation, "V", minimum, OVER_VOLTAGE - UNDER_VOLTAGE
+            ", the other reverses: bus voltage variation", variation, "V", minimum, over_voltage() - UNDER_VOLTAGE
         )
         yield judge(
             " rotates, the other reverses: additional deviation",
@@ -166,7 +166,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     speed = top_speed(plant, range(AXES), BRAKE_FROM)
     stop, judge = brake(plant, seed, speed), Judge("both brake: ", NOT_SHOWN)
     limit, faults = "not shown; the drive's limit is 33 V", np.bitwise_or.reduce(stop[0].faults | stop[1].faults)
-    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", maximum=OVER_VOLTAGE, reference=limit)
+    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", maximum=over_voltage(), reference=limit)
     yield judge.none("faults", faults, reference="none")
     for axis, r in stop.items():
         speed_left = np.abs(r.omega[-100:]).max() / RPM

@@ -156,7 +156,10 @@ def _record(board: Board, seconds: float) -> list[TimeSeries]:
             table[axis, :, k] = estimate, board.truth(axis).t_winding, current, winding_current
             faults[axis] |= word(board, axis, "faults")
     time = STEP * np.arange(1, ticks + 1, dtype=np.float64)
-    return [TimeSeries(time, it[0], it[1], it[2], it[3], faults[axis]) for axis, it in enumerate(table)]
+    return [
+        TimeSeries(time, columns[0], columns[1], columns[2], columns[3], faults[axis])
+        for axis, columns in enumerate(table)
+    ]
 
 
 @experiment(NAME)
@@ -165,31 +168,31 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for case in CASES:
         changed_plant, text, nominal, true = configured(plant, case.motors)
         found = time_series(changed_plant, seed, text, SECONDS)
-        for axis, (it, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
+        for axis, (series, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
             name = f"{axis_name(axis)}, {case.name}"
-            yield from figures(Judge(f"{name}: "), it, model, winding)
-            beyond = float(it.truth[-1]) - winding.maximum
+            yield from figures(Judge(f"{name}: "), series, model, winding)
+            beyond = float(series.truth[-1]) - winding.maximum
             yield f"{name}: the winding ends {beyond:+.1f} K from its maximum of {winding.maximum:g} deg C"
             curves = (
-                Curve("winding [deg C]", it.time, it.truth),
-                Curve("estimate [deg C]", it.time, it.estimate, "--"),
-                Curve("current [0.1 A]", it.time, 10.0 * it.current),
+                Curve("winding [deg C]", series.time, series.truth),
+                Curve("estimate [deg C]", series.time, series.estimate, "--"),
+                Curve("current [0.1 A]", series.time, 10.0 * series.current),
             )
             yield Panel(name, "time [s]", "", curves)
 
 
-def figures(judge: Judge, it: TimeSeries, model: Winding, winding: Winding) -> Iterator[Row]:
+def figures(judge: Judge, series: TimeSeries, model: Winding, winding: Winding) -> Iterator[Row]:
     """Expected values: controller from its nominal values (`model`), winding from the resulting current."""
     until = model.time_to(model.derating, model.current)
     current, estimate = model.settled()
     truth = winding.equilibrium(current)
     rest = max(FINAL_ERROR_MAX, REMAINING_RISE_MAX * (truth - winding.ambient))
     late = 0.05 * until + 2.0 * STEP
-    yield judge("time until derating", it.derated_from, "s", until - late, until + late)
-    yield judge.near("final current", it.current[-1], "A", current, 0.02 * current)
-    yield judge.near("final estimate", it.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
-    yield judge("final winding temperature", it.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
-    yield judge.none("faults", it.faults)
+    yield judge("time until derating", series.derated_from, "s", until - late, until + late)
+    yield judge.near("final current", series.current[-1], "A", current, 0.02 * current)
+    yield judge.near("final estimate", series.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
+    yield judge("final winding temperature", series.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
+    yield judge.none("faults", series.faults)
     if winding == model:
         step = model.loss(model.current, model.derating) / model.capacity * STEP_TICKS * TICK
-        yield judge("error of the estimate", np.abs(it.estimate - it.truth).max(), "K", 0.0, step + ERROR_MAX)
+        yield judge("error of the estimate", np.abs(series.estimate - series.truth).max(), "K", 0.0, step + ERROR_MAX)

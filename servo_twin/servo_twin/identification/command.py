@@ -31,16 +31,17 @@ from servo_twin.simulation import SimulationError
 
 _HELP: Final = """\
 Identify the motor: resistance, inductances, flux, pole pairs, inertia, friction, load, voltage error of dead time and
-switches, delay, with 95 % intervals. The axis moves automatically, within the limits. Required data: voltage of the bus
-and permitted motor current.
+switches, delay, with 95 % intervals. The axis moves automatically, within the limits. Only the voltage of the bus and
+the permitted motor current must be known.
 
   servo-sim identify --axis 1 --voltage 24 --current 4          a virtual board, with the motor of --plant
   servo-sim identify --motor 17                                 a virtual board with a random motor
   servo-sim identify --recording out/identify/measurement.npz   a recording of servo-tool identify
   servo-sim identify --trials 200 --level registers             errors for random motors
 
-Output files: measurement.npz, estimates.json, identify.png, and, if all values are determined, plant.toml for the twin
-and servo.toml for the controller; otherwise exit status 1 and the reason."""
+Output files: measurement.npz (not with --recording), estimates.json, identify.png; if all values are determined,
+plant.toml for the twin, and, if there are gains for this motor, servo.toml for the controller; otherwise exit status 1
+and the reason. With --trials: trials.json only."""
 
 _OUT: Final = Path("out/identify")
 

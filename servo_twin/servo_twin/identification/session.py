@@ -215,15 +215,15 @@ def tuned_table(
     motor = {name: float(f"{value:.5g}") for name, value in motor.items()}
     try:
         table = fitted(base, result.log.axis, limits, motor)
-        it = tuned_axis(table, result.log.axis)
+        design = tuned_axis(table, result.log.axis)
     except ConfigError as error:
         return None, (f"no feasible configuration: {error}",)
     lines = []
     for name, margins in (
-        ("current d", it.current_loop("d").margins()),
-        ("current q", it.current_loop("q").margins()),
-        ("speed", it.shaft().speed_margins()),
-        ("position", it.shaft().position_margins()),
+        ("current d", design.current_loop("d").margins()),
+        ("current q", design.current_loop("q").margins()),
+        ("speed", design.shaft().speed_margins()),
+        ("position", design.shaft().position_margins()),
     ):
         crossover = "-" if margins.crossover is None else f"{margins.crossover:.4g} Hz"
         phase = "-" if margins.phase is None else f"{margins.phase:.1f} deg"

@@ -1,4 +1,4 @@
-"""Command writes that took effect on the board, and detection of missing ones. Pure.
+"""Command writes that took effect on the board, and detection of missing ones.
 
 A sample contains the number of command writes that have taken effect and the tick of the last one. The writes
 themselves are reported on another topic and may be late or lost. A sample is replayed only when all counted writes have

@@ -1,4 +1,4 @@
-"""Alignment of one axis of the twin with the same axis of the real board: position offset and commands. Pure."""
+"""Alignment of one axis of the twin with the same axis of the real board: position offset and commands."""
 
 from __future__ import annotations
 
@@ -59,21 +59,26 @@ class AxisAlignment:
         self._set_point_deferred = False  # a set-point was received before the alignment
 
     # ---- start
-    def begin(self, sample: Sample | None = None, replica: Replica | None = None) -> bool:
-        """Start the alignment: at a sample with the twin's board in STOP, or, without a sample, from a common reset.
+    def _begin(self) -> None:
+        self.different_since = None
+        self.stopping = self._expired = self._faulted = False
+        self._offset = 0
+        self._release()
+
+    def begin_from_reset(self) -> None:
+        """Start the alignment of two boards that were reset at the same tick."""
+        self._begin()
+        self.last_written.update({"cmd.mode": 0, "cmd.quick_stop": 0})
+
+    def begin_at(self, sample: Sample, replica: Replica) -> bool:
+        """Start the alignment at a sample, with the twin's board in STOP.
 
         Returns
         -------
         bool
             True if the real axis is in closed-loop control, so that the twin's axis must be enabled.
         """
-        self.different_since = None
-        self.stopping = self._expired = self._faulted = False
-        self._offset = 0
-        self._release()
-        if sample is None or replica is None:
-            self.last_written.update({"cmd.mode": 0, "cmd.quick_stop": 0})
-            return False
+        self._begin()
         self._offset = _int32(sample.position[self._number] - replica.raw[f"{self._name}.position"])
         if activity(sample.labels[self._number]) is not Activity.ACTIVE:
             return False

@@ -1,4 +1,4 @@
-"""Transfers the configuration blocks of the real board to the twin's board. Pure."""
+"""Transfers the configuration blocks of the real board to the twin's board."""
 
 from __future__ import annotations
 

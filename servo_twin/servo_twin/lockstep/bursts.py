@@ -1,4 +1,4 @@
-"""Recordings (bursts) of the twin for those of the real board: same variables, same ticks, and the residual. Pure.
+"""Recordings (bursts) of the twin for those of the real board: same variables, same ticks, and the residual.
 
 The bridge publishes the set-up of the recorder before the recorder starts. From then on a recorder of the twin's board
 samples the same variables in every call of the loop, at the same point of the firmware, without trigger or divider.
@@ -178,7 +178,7 @@ class BurstSampler:
             self._alignments.append(alignment)
         self._settle(alignment.tick)
 
-    def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64], tick: int | None) -> None:
+    def add_burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64], tick: int | None) -> None:
         """Process a burst of the real board.
 
         Parameters

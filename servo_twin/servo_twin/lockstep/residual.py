@@ -1,4 +1,4 @@
-"""Residual (real minus twin) and its supervision. Pure."""
+"""Residual (real minus twin) and its supervision."""
 
 from __future__ import annotations
 

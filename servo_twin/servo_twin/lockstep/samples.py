@@ -1,4 +1,4 @@
-"""Samples of the board for the twin: ticks, raw positions, states, standstill. Pure."""
+"""Samples of the board for the twin: ticks, raw positions, states, standstill."""
 
 from __future__ import annotations
 

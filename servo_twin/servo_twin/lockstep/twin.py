@@ -1,4 +1,4 @@
-"""Digital twin: a virtual board that executes the same commands at the same ticks as the real one. Pure.
+"""Digital twin: a virtual board that executes the same commands at the same ticks as the real one.
 
 Time is board ticks only. For each sample of the real board the twin's board is run to the corresponding tick,
 ``own = real + shift``; the samples of both boards at this tick form a `Pair`. Every command write is repeated with the
@@ -120,7 +120,7 @@ class Twin:
         """True if the parameters of the real board are known; until then the twin has the default parameters."""
         return self._parameters is not None
 
-    def parameters(self, values: RawParameters) -> None:
+    def set_parameters(self, values: RawParameters) -> None:
         """Set the parameters of the real board; synchronises again if the twin's board has others."""
         self._parameters = values
         if self._replica is not None and values != self._in_force:
@@ -128,7 +128,7 @@ class Twin:
             self._cause = f"changed parameters of the board: {changed}"
             self.resync(self._cause)
 
-    def blocks(self, blocks: Blocks) -> None:
+    def set_blocks(self, blocks: Blocks) -> None:
         """Set the configuration blocks of the real board, as last read.
 
         Later block commands are executed at their tick. Synchronises again if the twin's board has other blocks.
@@ -146,7 +146,7 @@ class Twin:
                 known |= checksums_of(blocks_of(command))
         return all(known[axis] == checksum for axis, checksum in checksums_of(self._blocks).items())
 
-    def windings(self, temperatures: Sequence[float]) -> None:
+    def set_windings(self, temperatures: Sequence[float]) -> None:
         """Set the winding temperatures estimated by the real board, in the order of the axes [deg C].
 
         They replace the estimates of the twin's board at a synchronisation without reset, and whenever an axis enters
@@ -154,13 +154,13 @@ class Twin:
         """
         self._windings = tuple(temperatures)
 
-    def command(self, command: AppliedCommand) -> None:
+    def add_command(self, command: AppliedCommand) -> None:
         """Add a command that took effect on the real board; in any order."""
         if not self._commands.add(command):
             self._remember(command)  # too late for a replay
 
-    def recorder(self, setup: RecorderSetup | None) -> None:
-        """Set-up of the recorder of the real board, before it starts; None: the recorder is idle."""
+    def set_recorder(self, setup: RecorderSetup | None) -> None:
+        """Set the configuration of the recorder of the real board, before it starts; None: the recorder is idle."""
         if setup is None:
             self._bursts.idle(self.newest_tick)
             return
@@ -168,7 +168,7 @@ class Twin:
         if self._replica is not None and self._last is not None:
             self._bursts.begin(self._replica, self._alignment(self._last))
 
-    def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+    def add_burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Add a recording of the real board, a table (points, columns), SI.
 
         Raises
@@ -176,9 +176,9 @@ class Twin:
         ValueError
             If there are no ticks.
         """
-        self._bursts.burst(label, columns, table, self.tick)
+        self._bursts.add_burst(label, columns, table, self.tick)
 
-    def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+    def add_samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Add samples of the real board, a table (samples, columns), SI, in the order of their ticks.
 
         Raises
@@ -342,7 +342,7 @@ class Twin:
                 write_blocks(replica, self._blocks)
                 self._note_torque(replica)
             for axis in self._axes:
-                axis.begin()
+                axis.begin_from_reset()
             self._set_parameters(replica)
             self._replay(replica, sample)
             return True
@@ -359,7 +359,7 @@ class Twin:
         self._note_torque(replica)
         for number in range(AXES):
             self._set_winding_estimate(replica, number)
-        active = sum(axis.begin(sample, replica) << number for number, axis in enumerate(self._axes))
+        active = sum(axis.begin_at(sample, replica) << number for number, axis in enumerate(self._axes))
         self._set_parameters(replica)
         for axis in self._axes:
             axis.set_home_state(replica, sample)

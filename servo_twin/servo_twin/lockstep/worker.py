@@ -80,33 +80,33 @@ class TwinWorker:
             self._thread.join(timeout)
 
     # ---- from any thread
-    def command(self, command: AppliedCommand) -> None:
+    def add_command(self, command: AppliedCommand) -> None:
         """Pass a command that took effect on the real board."""
-        self._post(lambda: self._twin.command(command))
+        self._post(lambda: self._twin.add_command(command))
 
-    def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+    def add_samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Pass samples of the real board (samples, columns), SI; an invalid table sets the status of the twin."""
         self._post(lambda: self._take(columns, table), sample=True)
 
-    def parameters(self, values: RawParameters) -> None:
+    def set_parameters(self, values: RawParameters) -> None:
         """Pass the parameters of the real board."""
-        self._post(lambda: self._twin.parameters(values))
+        self._post(lambda: self._twin.set_parameters(values))
 
-    def windings(self, temperatures: Sequence[float]) -> None:
+    def set_windings(self, temperatures: Sequence[float]) -> None:
         """Pass the winding temperatures of the real motors [deg C]."""
-        self._post(lambda: self._twin.windings(temperatures))
+        self._post(lambda: self._twin.set_windings(temperatures))
 
-    def recorder(self, setup: RecorderSetup | None) -> None:
+    def set_recorder(self, setup: RecorderSetup | None) -> None:
         """Pass the set-up of the recorder of the real board; None: the recorder is idle."""
-        self._post(lambda: self._twin.recorder(setup))
+        self._post(lambda: self._twin.set_recorder(setup))
 
-    def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+    def add_burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Pass a recording with ticks: a table (points, columns), SI."""
-        self._post(lambda: self._twin.burst(label, columns, table))
+        self._post(lambda: self._twin.add_burst(label, columns, table))
 
-    def blocks(self, blocks: Blocks) -> None:
+    def set_blocks(self, blocks: Blocks) -> None:
         """Pass the configuration blocks of the real board."""
-        self._post(lambda: self._twin.blocks(blocks))
+        self._post(lambda: self._twin.set_blocks(blocks))
 
     def resync(self, reason: str) -> None:
         """Request a new synchronisation."""
@@ -181,6 +181,6 @@ class TwinWorker:
     def _take(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         self._samples += len(table)
         try:
-            self._twin.samples(columns, table)
+            self._twin.add_samples(columns, table)
         except ValueError as error:
             self._twin.resync(str(error))

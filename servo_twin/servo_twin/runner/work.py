@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from servo_twin.board import SimulationError
 
 ATTEMPTS = 3
-"""A trial during which this number of workers ended is not repeated."""
+"""Runs of a trial that end their worker before the trial is given up."""
 
 Result_co = TypeVar("Result_co", covariant=True)
 

@@ -1,4 +1,4 @@
-"""Varied values and points of the trials. Pure; a point depends on seed and trial number only."""
+"""Varied values and points of the trials. A point depends on seed and trial number only."""
 
 from __future__ import annotations
 

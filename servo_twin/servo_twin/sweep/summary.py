@@ -25,7 +25,7 @@ class FigureSummary:
     mean: float = 0.0  # in `unit`
     minimum: float = math.inf  # in `unit`
     maximum: float = -math.inf  # in `unit`
-    worst: list[tuple[float, int]] = field(default_factory=list)  # negative slack and number of the worst trials
+    worst: list[tuple[float, int]] = field(default_factory=list)  # -slack and -number of the worst trials, a heap
 
     def add(self, number: int, figure: Figure) -> None:
         self.count += 1

@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Final
 
-from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue, axis_name
 from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.reading import AXIS_NAMES, parse
+from servo_msgs_py.tuning.reading import parse
 
 from servo_msgs_py import board_parameters
 from servo_twin.board import Board

@@ -20,9 +20,9 @@ SLOTS: Final = {
     1: "with protection",
     2: "with estimates",
     3: "with checks",
-    4: "with current watches",
-    5: "with encoder watches",
-    6: "with supervision",
+    4: "with current monitors",
+    5: "with encoder monitor",
+    6: "with test signal and supervision",
     7: "with latch",
 }
 """Tasks after the fast loops in the PWM periods of a slow tick (firmware/app/servo.c)."""

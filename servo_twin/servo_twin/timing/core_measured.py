@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.toml import tomllib
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
@@ -24,11 +24,6 @@ from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
 from servo_twin.timing.chip_map import VECTOR_M1, VECTOR_M2
 from servo_twin.timing.trace import CLOCK, Trace
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 HELP: Final = """\
 Mean widths of the pulses at the scope pins F6 (M1) and F7 (M2) on the virtual board, in states that are easy to set up

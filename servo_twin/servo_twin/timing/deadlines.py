@@ -1,4 +1,4 @@
-"""Duration of each kind of handler, and time margin to the load of its duties. Pure.
+"""Duration of each kind of handler, and time margin to the load of its duties.
 
 The deadline of a loop is the load of its duties, half a PWM period after the sampling of its currents. Duties that are
 released later have missed the deadline, as they become active at the next load.

@@ -1,4 +1,4 @@
-"""Timing of DRM F34, F35, F38 and start of DRM 4.3.3, measured on a trace. Pure."""
+"""Timing of DRM F34, F35, F38 and start of DRM 4.3.3, measured on a trace."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from servo_msgs_py.figure import new_figure, write_figure
 
 from servo_twin.simulation import SimulationError
 from servo_twin.timing.chip_map import LOOPS, PHASES, VECTOR_M1, VECTOR_M2, VECTOR_START, Loop
-from servo_twin.timing.deadlines import runs_of
+from servo_twin.timing.deadlines import PERIOD, runs_of
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
 _US: Final = CLOCK * 1e6
@@ -182,8 +182,7 @@ def _start(plot: Any, trace: Trace) -> None:
     if not (runs.size and samples.size):
         plot.set_title("4.3.3: no start", fontsize="medium", loc="left")
         return
-    period = 6250
-    begin, end = int(runs[0, 0]) - 2 * period, int(runs[0, 1]) + 3 * period
+    begin, end = int(runs[0, 0]) - 2 * PERIOD, int(runs[0, 1]) + 3 * PERIOD
     channels = _Channels(plot, "4.3.3: start of the sequence", begin, end)
     for motor, (phases, colour) in enumerate(zip(PHASES, _COLOURS, strict=True), start=1):
         channels.saw(f"counter of motor {motor}", trace.clocks(Kind.CYCLE, phases[0]), colour)

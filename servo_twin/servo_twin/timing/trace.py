@@ -1,4 +1,4 @@
-"""Trace of the chip, as by a logic analyser: counters, triggers, samples, gates and interrupts. Pure."""
+"""Trace of the chip, as by a logic analyser: counters, triggers, samples, gates and interrupts."""
 
 from __future__ import annotations
 

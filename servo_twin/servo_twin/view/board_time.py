@@ -1,4 +1,4 @@
-"""Time line of a recording: board time since the start of the recording [s]. Pure.
+"""Time line of a recording: board time since the start of the recording [s].
 
 Telemetry is located by its tick. Data with only a ROS stamp are located by interpolation between rows of telemetry with
 tick and stamp. After a reset of the board, which restarts the ticks, the time line continues.

@@ -1,4 +1,4 @@
-"""Buffers: curves at full rate, shaft angles of the 3D view at 30 Hz. Pure."""
+"""Buffers: curves at full rate, shaft angles of the 3D view at 30 Hz."""
 
 from __future__ import annotations
 

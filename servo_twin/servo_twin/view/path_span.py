@@ -1,4 +1,4 @@
-"""Time span of a motion path: from its first to its last timed point. Pure."""
+"""Time span of a motion path: from its first to its last timed point."""
 
 from __future__ import annotations
 

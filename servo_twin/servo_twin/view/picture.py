@@ -133,15 +133,15 @@ def _figure(
     result: Figure = new_figure(width + path_width, height, _DPI)
     result.set_layout_engine("constrained", w_pad=0.12, h_pad=0.08)
     widths = [width / len(residuals)] * len(residuals) + ([path_width] if path_width else [])
-    subplots = result.add_gridspec(len(_ROWS) + 1, len(widths), height_ratios=[3, 3, 2], width_ratios=widths)
-    grid = np.empty((len(_ROWS) + 1, len(residuals)), dtype=object)
-    for row, axis in np.ndindex(*grid.shape):
-        grid[row, axis] = result.add_subplot(subplots[row, axis], sharex=grid[0, 0])
-        grid[row, axis].tick_params(labelbottom=row == len(_ROWS))
+    grid = result.add_gridspec(len(_ROWS) + 1, len(widths), height_ratios=[3, 3, 2], width_ratios=widths)
+    plots = np.empty((len(_ROWS) + 1, len(residuals)), dtype=object)
+    for row, axis in np.ndindex(*plots.shape):
+        plots[row, axis] = result.add_subplot(grid[row, axis], sharex=plots[0, 0])
+        plots[row, axis].tick_params(labelbottom=row == len(_ROWS))
     if path_span is not None:
-        _path(result.add_subplot(subplots[:-1, -1]), result.add_subplot(subplots[-1, -1]), curves, path_span)
+        _path(result.add_subplot(grid[:-1, -1]), result.add_subplot(grid[-1, -1]), curves, path_span)
     for axis, name in scene.axes():
-        column: list[Axes] = list(grid[:, axis])
+        column: list[Axes] = list(plots[:, axis])
         column[0].set_title(name, fontsize=15, fontweight="bold", color=_DARK, loc="left")
         for plot, row in zip(column, _ROWS, strict=False):
             for source in _LABELS:
@@ -156,7 +156,7 @@ def _figure(
             _fit(plot, span)
         column[-1].set_xlabel("board time [s]", color=_DARK, fontsize=11)
     result.suptitle("Two axes: the board and its twin", x=0.01, ha="left", fontsize=18, color=_DARK)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
+    handles, labels = plots[0, 0].get_legend_handles_labels()
     result.legend(handles, labels, loc="outside upper right", ncols=len(labels), frameon=False, fontsize=13)
     return result
 
@@ -166,12 +166,12 @@ def _path(plane: Axes, error: Axes, curves: dict[tuple[int, str, str], _Curve], 
     names = [name for _, name in scene.axes()]
     time = curves[0, "position", scene.BOARD][0]
     time = time[(time >= span[0]) & (time <= span[1])]
-    subplots = {
+    positions = {
         source: [np.interp(time, *curves[axis, "position", source]) for axis, _ in scene.axes()]
         for source in (scene.SET_POINT, scene.BOARD)
         if all(len(curves[axis, "position", source][0]) for axis, _ in scene.axes())
     }
-    for source, values in subplots.items():
+    for source, values in positions.items():
         plane.plot(*(value / _TURN for value in values), color=_colour(source), **_STYLES[source])
     plane.set_aspect("equal", adjustable="datalim")
     plane.set_title(
@@ -180,8 +180,8 @@ def _path(plane: Axes, error: Axes, curves: dict[tuple[int, str, str], _Curve], 
     _format(plane, "")
     _format(error, "board − set-point [counts]")
     error.set_xlabel("board time [s]", color=_DARK, fontsize=11)
-    if scene.SET_POINT in subplots:
-        errors = np.subtract(subplots[scene.BOARD], subplots[scene.SET_POINT]) * (COUNTS_PER_TURN / _TURN)
+    if scene.SET_POINT in positions:
+        errors = np.subtract(positions[scene.BOARD], positions[scene.SET_POINT]) * (COUNTS_PER_TURN / _TURN)
         for values, name, colour in zip(errors, names, (_colour(scene.BOARD), _PALE), strict=True):
             error.plot(time, values, color=colour, linewidth=1.5, label=name)
         error.margins(y=0.2)  # space for the legend
@@ -253,7 +253,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         draw(args.recording, args.picture)
     except (RecordingError, PictureError, OSError) as error:
-        print(f"servo_twin.picture: {error}", file=sys.stderr)
+        print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
     return 0
 

@@ -1,4 +1,4 @@
-"""Contents of a recording and names of its entities, for writing, layout and reading. Pure."""
+"""Contents of a recording and names of its entities, for writing, layout and reading."""
 
 from __future__ import annotations
 

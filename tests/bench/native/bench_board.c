@@ -89,7 +89,7 @@ static void turn_encoder(bench_motor_t *motor, bench_registers_t *registers, uin
         motor->edge_time = begin + (timer(period + 1U) - begin) * (uint32_t)part / (uint32_t)moved;
         if (registers->armed) {
             registers->edge = (edge_capture_t){(uint16_t)(edge % COUNTS), (uint16_t)motor->edge_time};
-            registers->latched = true;
+            registers->captured = true;
             registers->armed = false;
         }
     }
@@ -156,9 +156,9 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
 
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on) { hal->axis[axis].enabled = on; }
 
-bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].broken; }
+bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].tripped; }
 
-void hal_over_current_clear(hal_t *hal, uint16_t axis) { hal->axis[axis].broken = false; }
+void hal_over_current_clear(hal_t *hal, uint16_t axis) { hal->axis[axis].tripped = false; }
 
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis) { return hal->axis[axis].count; }
 
@@ -171,11 +171,11 @@ void hal_capture_arm(hal_t *hal, uint16_t axis) { hal->axis[axis].armed = true; 
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
 {
     bench_registers_t *a = &hal->axis[axis];
-    if (!a->latched) {
+    if (!a->captured) {
         return false;
     }
     *capture = a->edge;
-    a->latched = false;
+    a->captured = false;
     return true;
 }
 
@@ -233,7 +233,7 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
     return (uint16_t)(700U + axis);
 }
 
-void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+void hal_brake_resistor(hal_t *hal, bool on) { hal->brake_resistor = on; }
 
 uint16_t hal_inputs(hal_t *hal, uint16_t axis)
 {

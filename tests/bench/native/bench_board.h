@@ -17,11 +17,11 @@ typedef struct {
     phase_pair_t pair;
     int16_t duty[3];
     bool enabled;
-    bool broken;
+    bool tripped;
     uint16_t count;
     uint16_t index;
     bool armed;
-    bool latched;
+    bool captured;
     edge_capture_t edge;
     uint32_t edge_age;
 } bench_registers_t;
@@ -41,7 +41,7 @@ struct hal {
     uint16_t sent;
     uint16_t watchdog;
     uint16_t monitor[HAL_ANALOG_OUTS];
-    bool brake;
+    bool brake_resistor;
     bench_motor_t motor[HAL_AXES];
     uint32_t period;
 };

@@ -66,29 +66,29 @@ static uint8_t *put_address(uint8_t *to, uint32_t address)
     return to;
 }
 
-static void configure(const case_t *one)
+static void configure(const case_t *test_case)
 {
     uint8_t request[128];
     uint8_t *to = request;
     const recorder_app_t app = {"cost", 0};
     recorder_init(&recorder, &app, &memory);
     memory.owner = NULL;
-    const uint8_t head[] = {0x01, 4, one->variables, POINTS, 0, one->divider};
+    const uint8_t head[] = {0x01, 4, test_case->variables, POINTS, 0, test_case->divider};
     for (uint16_t k = 0; k < sizeof head; k++) {
         *to++ = head[k];
     }
-    for (uint8_t k = 0; k < one->variables; k++) {
+    for (uint8_t k = 0; k < test_case->variables; k++) {
         uint8_t *const length = to + 1;
         *to = 0x02;
         to += 2;
         *to++ = k;
         to = put_address(to, TSA_VARIABLES_BASE + 4U * k);
-        *to++ = one->size;
-        *to++ = (k == 0U) ? one->trigger : 0U;
+        *to++ = test_case->size;
+        *to++ = (k == 0U) ? test_case->trigger : 0U;
         *to++ = 1; /* threshold that is not reached by 0 */
         *length = (uint8_t)(to - length - 1);
     }
-    if (one->started != 0U) {
+    if (test_case->started != 0U) {
         *to++ = START;
         *to++ = 0;
     }

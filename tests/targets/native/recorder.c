@@ -292,7 +292,7 @@ uint16_t __real_hal_adc_temperature(hal_t *hal, uint16_t axis);
 bool __real_hal_reset_by_watchdog(hal_t *hal);
 uint16_t __real_hal_late_loops(hal_t *hal);
 uint16_t __real_hal_receiver_overruns(hal_t *hal);
-void __real_hal_brake(hal_t *hal, bool on);
+void __real_hal_brake_resistor(hal_t *hal, bool on);
 uint16_t __real_hal_inputs(hal_t *hal, uint16_t axis);
 void __real_hal_enable_input(hal_t *hal, uint16_t axis, bool used);
 void __real_hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
@@ -530,10 +530,10 @@ bool __wrap_hal_serial_put(hal_t *hal, uint8_t byte)
     return taken;
 }
 
-void __wrap_hal_brake(hal_t *hal, bool on)
+void __wrap_hal_brake_resistor(hal_t *hal, bool on)
 {
     out1(OUT_BRAKE, 0, on);
-    __real_hal_brake(hal, on);
+    __real_hal_brake_resistor(hal, on);
 }
 
 void __wrap_hal_enable_input(hal_t *hal, uint16_t axis, bool used)

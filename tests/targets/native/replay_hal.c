@@ -184,7 +184,7 @@ void hal_duties_done(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_DONE, 
 
 bool hal_reset_by_watchdog(hal_t *hal) { return take(hal) != 0U; }
 
-void hal_brake(hal_t *hal, bool on)
+void hal_brake_resistor(hal_t *hal, bool on)
 {
     out_head(&hal->out, OUT_BRAKE, 0);
     out_word(&hal->out, on ? 1U : 0U);

@@ -1,4 +1,4 @@
-"""Parameters of the connected board: read, compare with the request, write, verify, report. Pure.
+"""Parameters of the connected board: read, compare with the request, write, verify, report.
 
 All methods run in the thread of the executor.
 """
@@ -17,7 +17,7 @@ from servo_bridge.board_context import BoardContext
 from servo_bridge.outcome import error_of
 
 
-class BoardParameters:
+class ParameterSync:
     """Keeps the parameters of the board at the values that the user requests.
 
     Parameters that are not requested keep the value of the board. `trouble` has the first error.

@@ -1,6 +1,6 @@
-/* sensors.h - codes of a 12-bit converter, and reproducible noise. */
-#ifndef PLANT_SENSORS_H
-#define PLANT_SENSORS_H
+/* noise.h - reproducible random numbers. */
+#ifndef PLANT_NOISE_H
+#define PLANT_NOISE_H
 
 #include <stdint.h>
 
@@ -55,20 +55,5 @@ static inline double plant_random_gauss(plant_random_t *random)
     /* each byte has the mean 127.5 and the variance (2^16 - 1) / 12 */
     return (double)(plant_sum_of_bytes(plant_random_bits(random)) - 1020) * (1.0 / 209.02152999054544);
 }
-
-#define PLANT_CODE_MAX 4095
-#define PLANT_SINK_FULL_SCALE 150.0 /* [deg C] at full scale of the converter */
-
-/* Nearest code of a 12-bit converter, saturated at 0 and 4095. */
-static inline uint16_t plant_code(double code)
-{
-    if (code <= 0.0) {
-        return 0;
-    }
-    return (code >= (double)PLANT_CODE_MAX) ? (uint16_t)PLANT_CODE_MAX : (uint16_t)(code + 0.5);
-}
-
-/* Code of a unipolar signal: 24 V of 36.3 V is 2708 (DRM E46). */
-uint16_t plant_code_unipolar(double value, double full_scale);
 
 #endif
