@@ -25,7 +25,6 @@ typedef enum {
  * turn. */
 #define DISPLACEMENT_MAX (INT64_C(1) << 31)
 #define DISPLACEMENT_MAX_CAUGHT (INT64_C(1) << 29)
-#define SOLVE_BITS 12
 
 void rotor_hold_start(rotor_search_t *search, const rotor_search_config_t *config, int32_t position,
                       int32_t acceleration)
@@ -50,16 +49,11 @@ bool rotor_hold_opens_brake(const rotor_search_t *search)
 
 static frac16_t upper(uint32_t angle) { return (frac16_t)(uint16_t)(angle >> 16); }
 
-/* phi_1 of sin(phi_1 + rotation) = 2 sin(phi_1); the end of the range for a load above the largest torque. */
+/* phi_1 of sin(phi_1 + rotation) = 2 sin(phi_1): tan(phi_1) = sin(rotation) / (2 - cos(rotation)). */
 static frac16_t lead(frac16_t rotation)
 {
-    const frac16_t size = f16_abs(rotation);
-    int32_t angle = 0;
-    for (int32_t step = INT32_C(1) << SOLVE_BITS; step != 0; step >>= 1) {
-        const frac16_t next = (frac16_t)(angle + step);
-        angle += (sin_cos(f16_add_wrap(next, size)).sin >= 2 * sin_cos(next).sin) ? step : 0;
-    }
-    return (frac16_t)((rotation < 0) ? -angle : angle);
+    const sin_cos_t r = sin_cos(rotation);
+    return f16_angle((frac16_t)((INT32_C(65536) - r.cos) / 4), (frac16_t)(r.sin / 4));
 }
 
 static void found(rotor_search_t *search)
