@@ -114,7 +114,7 @@ fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_S
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@setsid chrt --idle 0 sh -c '{ echo 19 >/proc/self/autogroup; } 2>/dev/null; exec $(MAKE) --no-print-directory test-simulated' \
 	  >$(VENV)/test-simulated.log 2>&1 & simulated=$$!; \
-	trap 'kill -TERM -$$simulated; exit 1' INT TERM; \
+	trap 'kill -TERM -$$simulated; wait; exit 1' HUP INT TERM; \
 	status=0; $(MAKE) --no-print-directory test-realtime || status=1; \
 	tail --pid=$$simulated --lines=+1 --follow $(VENV)/test-simulated.log; \
 	wait $$simulated || status=1; exit $$status

@@ -1,7 +1,8 @@
 /* recorder.h - recorder: samples variables in every call of a loop, with triggers (SETREC, GETREC).
  *
  * The server configures a recorder in the background; the loop calls recorder_sample(), which may interrupt the
- * configuration. An address is converted to a pointer once, when a slot is set, after a check against the table.
+ * configuration. The address of a variable is converted to a pointer once, when a slot is set, after a check against the
+ * table.
  * Differences from the vendor's driver:
  *   - slots have separate memory: LIMITS reports 0 bytes per recorder and per variable; CFGMEM refuses too many slots
  *     (86), where the vendor's driver overwrites memory

@@ -13,7 +13,7 @@ void back_emf_observer_reset(back_emf_observer_t *observer, const back_emf_obser
 void back_emf_observer_set_speed(back_emf_observer_t *observer, int32_t step)
 {
     const int32_t x = (int32_t)asr64((int64_t)f32_clip(step, STEP_MAX) * TWO_PI_Q28, 28); /* rad, 32 fraction bits */
-    /* sin x = x - x^3 / 6, 1 - cos x = x^2 / 2 - x^4 / 24 */
+    /* sin x is about x - x^3 / 6, 1 - cos x about x^2 / 2 - x^4 / 24 */
     const int32_t square = back_emf_observer_upper(x, x);
     const int32_t fourth = back_emf_observer_upper(square, square);
     observer->rotation_sin = x - back_emf_observer_upper(x, square) / 6;

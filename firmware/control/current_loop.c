@@ -37,7 +37,7 @@ void current_loop_set_speed(current_loop_t *loop, const current_loop_config_t *c
     loop->rotation_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* below a quarter turn per period */
 }
 
-/* Preset of the integral parts, without error: the voltage that the decoupling terms do not supply,
+/* Preset of the integral parts for e = 0: the voltage that the decoupling terms do not supply,
  *   u_id = u_d + omega_e L_q i_q,  u_iq = u_q - omega_e L_d i_d - omega_e psi_m. */
 void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *config, dq_t current, dq_t voltage)
 {

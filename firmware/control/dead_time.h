@@ -10,7 +10,7 @@
 #include "control/transforms.h"
 
 typedef struct {
-    frac16_t duty; /* t_d f: dead time as a part of the PWM period, Q1.15; the name is one of the contract */
+    frac16_t duty; /* t_d f: dead time as a part of the PWM period, Q1.15 (`duty` in axis_config.toml) */
     frac16_t v_drop; /* voltage drop of a switch or diode, Q1.15 of full-scale bus voltage */
     int16_t slope;   /* full-scale current / current above which the sign is certain, 8 fraction bits */
 } dead_time_config_t;

@@ -5,10 +5,12 @@
  * sequence: i_d down to -i_d_max, then the motoring i_q down to 0; in the other direction i_q first. Each step changes
  * one of the two.
  *
- *   -i_d(k+1) = limit(-i_d(k) + K (u_d^2 + u_q^2 - u_target^2), 0, i_d_max),  u_target = u_max - margin
+ *   -i_d(k+1) = limit(-i_d(k) + change, 0, min(i_d_max, 7/8 i_max)),  u_target = u_max - margin
+ *   change    = limit(K (u_d^2 + u_q^2 - u_target^2), -i_d_max/8, i_d_max/8); -i_d_max/8 for 2 |e| <= u_target
+ *               (e: back-EMF)
  *   i_q       <= sqrt(i_max^2 - i_d^2)                              while field weakening is active
  *
- * Error: difference of the squared voltages, to first order 2 u_max (|u| - u_target); no square root is needed. The
+ * Error: difference of the squared voltages, to first order 2 u_target (|u| - u_target); no square root is needed. The
  * measured voltage is the output of the current controllers before their limit, because the limited voltage exceeds the
  * target by at most the margin.
  */

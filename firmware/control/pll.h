@@ -3,11 +3,13 @@
  *
  * In the frame of DRM E13, per PWM period T:
  *
- *   error   = -(e_alpha cos(theta) + e_beta sin(theta)) = omega psi_m sin(theta_true - theta)     phase detector
- *   omega_i = omega_i + Ki T error,  omega = omega_i + Kp error                                   PI loop filter
+ *   phi     = theta + omega T / 2                               angle in the middle of the period of e
+ *   error   = -(e_alpha cos(phi) + e_beta sin(phi))             phase detector: omega psi_m sin(phi_true - phi)
+ *   omega_i = omega_i + Ki T error,  omega = omega_i + Kp error PI loop filter
  *   theta   = theta + omega T
  *
- * Natural frequency sqrt(Ki omega psi_m), damping Kp sqrt(omega psi_m / Ki) / 2. The error is negated at negative speed.
+ * omega is electrical. Natural frequency sqrt(Ki omega psi_m), damping Kp sqrt(omega psi_m / Ki) / 2. The error is
+ * negated at negative speed.
  * As on the slide the integral gain is constant: the natural frequency is proportional to the square root of the speed,
  * and at low speed below the sixth harmonic, the ripple of the dead time. The proportional gain is inversely
  * proportional to the square root of the back-EMF, for constant damping. Extension of the slide: acceleration
@@ -58,10 +60,10 @@ void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf);
 /* One slow tick Ts: feed the acceleration by `i_q` forward, and correct speed and load estimate with the amplitude
  * error of the back-EMF, which responds to a load step before the phase:
  *
- *   omega_i = omega_i + Ts (p Kt i_q / J + a_load) + k_a (e_q - omega psi_m - bias)
- *   a_load  = a_load + k_l error sqrt(emf) + k_al (e_q - omega psi_m - bias)
+ *   a_load(k)  = a_load(k-1) + k_l error sqrt(emf) + k_al size
+ *   omega_i(k) = omega_i(k-1) + Ts (p Kt i_q / J + a_load(k)) + k_a size,  size = e_q - omega psi_m - bias(k-1)
  *
- * `residual_emf`: observed minus expected back-EMF. `rotation`: change of the angle in this tick, from which the
+ * `error` as above. `residual_emf`: observed minus expected back-EMF. `rotation`: change of the angle in this tick, from which the
  * amplitude offset `bias` is estimated. */
 void pll_feed_forward(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t residual_emf, int32_t rotation);
 

@@ -99,7 +99,8 @@ void speed_control_retune(axis_t *axis, const axis_config_t *config)
 }
 
 /* Speed controller (F20, E34..E37), PI with anti-windup (control/pi.h):
- *   i_q* = limit(Kp (omega* - omega) + i_i + i_forward, -i_max, i_max). */
+ *   i_q* = limit(Kp (omega* - omega) + i_i + i_forward, -i_max, i_max)
+ * i_i integrates omega* minus the mean speed of the tick; each direction may have a limit of its own. */
 frac16_t speed_control(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;

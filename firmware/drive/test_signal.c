@@ -26,8 +26,8 @@ static bool possible(const axis_t *axis, uint16_t point)
     return (axis->substate == SUBSTATE_SPIN) ? !stopping(axis) : (axis->substate == SUBSTATE_TEST && fast(point));
 }
 
-/* Largest amplitude of the signal: the vector sum of set-point and signal stays within the limit of i_q. Set-points change once per
- * slow tick. */
+/* Largest amplitude of the signal: the vector sum of set-point and signal stays within the limit of i_q. Set-points
+ * change once per slow tick. */
 static frac16_t amplitude_max(const axis_t *axis)
 {
     const frac16_t max = axis->current_max.q;

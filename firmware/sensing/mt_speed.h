@@ -1,6 +1,7 @@
 /* mt_speed.h - speed by the M/T method, plain or enhanced (DRM 2.4.4..2.4.6, E33, F17..F19).
  *
- *   omega_m = 2 pi (M1(n) - M1(n-1)) f_timer / (counts (M2(n) - M2(n-1)))     M1: count, M2: time of a captured edge
+ *   omega_m = 2 pi M1 f_timer / (N M2)    M1: counts and M2: time between two captured edges,
+ *                                         N: counts per turn, f_timer: bus clock / 128
  */
 #ifndef SERVO_SENSING_MT_SPEED_H
 #define SERVO_SENSING_MT_SPEED_H
@@ -13,7 +14,7 @@ typedef struct {
 } mt_speed_config_t;
 
 typedef struct {
-    edge_capture_t last; /* M1(n-1), M2(n-1): last captured edge */
+    edge_capture_t last; /* count and time of the last captured edge */
     bool primed;         /* `last` is valid: the timer has not overflowed since */
     bool fresh;          /* an edge was captured since the last slow loop */
     uint16_t interval;   /* M2 of the last speed: time between edges, ticks of bus clock / 128 */

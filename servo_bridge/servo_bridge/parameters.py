@@ -45,7 +45,9 @@ __all__ = [
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _AT_START: Mapping[str, Spec] = {
-    "autostart": Spec(True, "whether the node configures and activates itself at the start; no axis is enabled by it"),
+    "autostart": Spec(
+        True, "whether the node configures and activates itself, read once at the start; no axis is enabled by it"
+    ),
 }
 
 _SETTINGS: Mapping[str, Spec] = {

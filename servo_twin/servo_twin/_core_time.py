@@ -497,7 +497,7 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
 
 
 def _digest_of_inputs(sources: Iterable[Path], firmware: Path, options: Sequence[str]) -> str:
-    """Digest of everything that determines the instrumented files."""
+    """Digest of the C files, the headers and the weights, which determine the instrumented files with one compiler."""
     digest = hashlib.sha256(f"{_VERSION}{options}".encode())
     for path in (WEIGHTS, *sources, *sorted(firmware.rglob("*.h"))):
         digest.update(f"{path.name}\n".encode() + path.read_bytes())

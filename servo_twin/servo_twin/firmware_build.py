@@ -45,7 +45,7 @@ def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
         If the file does not exist.
     """
     if not path.is_file():
-        raise SimulationError(f"no such file: {path}")
+        raise SimulationError(f"no such file: {path}; servo.toml of the checkout is needed: run from a checkout")
     table: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     return table
 

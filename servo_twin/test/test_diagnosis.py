@@ -394,6 +394,8 @@ def test_the_encoder_angle_is_reported_as_an_angle() -> None:
     value, low, high = (float(np.sin(np.deg2rad(angle))) for angle in (60.0, 55.0, 65.0))
     text = finding_text(Finding(Kind.SINGLE, ("encoder_angle",), value, low, high, 0, 16000), 0, 0)
     assert text.startswith("encoder angle +60 deg electrical (+55..+65) since ")
+    text = finding_text(Finding(Kind.SINGLE, ("encoder_angle",), 1.1, 1.0, 1.2, 0, 16000), 0, 0)
+    assert text.startswith("encoder angle +90 deg electrical (+90..+90) since "), "digits of the sine's interval"
     numbers = estimate_numbers(Estimate("encoder_angle", float(np.sin(np.deg2rad(80.0))), 0.1))
     assert numbers["value"] == pytest.approx(np.deg2rad(80.0))
     assert numbers["high"] == pytest.approx(np.pi / 2.0), "a sine above 1 is limited"

@@ -15,6 +15,12 @@ from rclpy.node import Node
 _HELP_WIDTH: Final = 100
 _FILE_WIDTH: Final = 120
 _INDENT: Final = "    "
+_NO_BREAK: Final = "\N{NO-BREAK SPACE}"
+
+
+def _decimal(value: float) -> str:
+    """A number without an exponent, which YAML would need in a form of its own."""
+    return f"{value:.15f}".rstrip("0").rstrip(".")
 
 
 class ParameterError(ValueError):
@@ -37,7 +43,7 @@ class Spec:
     @property
     def limits(self) -> str:
         """Range such as ``0 .. 1``; empty: no limit."""
-        return "" if self.low is None or self.high is None else f"{self.low:.15g} .. {self.high:.15g}"
+        return "" if self.low is None or self.high is None else f"{_decimal(self.low)} .. {_decimal(self.high)}"
 
     def descriptor(self, *, managed: bool = False) -> ParameterDescriptor:
         """ROS descriptor; a managed node has no read-only parameters in ROS, so the node has to reject changes."""
@@ -111,20 +117,21 @@ def parameter_file(name: str, parameters: Mapping[str, Spec]) -> str:
         f"#   {name} --ros-args --params-file my.yaml",
         "#",
         f"# {access}",
-        "# A number with an exponent needs a sign and a decimal point: 1.5e+6 is a number, 1.5e6 a text.",
+        "# Write 1.5e+6, not 1.5e6, which `ros2 param load` reads as a text.",
         "/**:",
         "  ros__parameters:",
     ]
     for key, spec in parameters.items():
         sentences = [f"{spec.description[0].upper()}{spec.description[1:]}."]
         if spec.limits:
-            sentences.append(f"Range: {spec.limits}.")
+            sentences.append(f"Range: {spec.limits}.".replace(" ", _NO_BREAK))
         if spec.read_only and not at_start:
             sentences.append("Read-only.")
         comment = f"{_INDENT}# "
-        lines += textwrap.wrap(
+        wrapped = textwrap.wrap(
             " ".join(sentences), _FILE_WIDTH, initial_indent=comment, subsequent_indent=comment, break_on_hyphens=False
         )
+        lines += [line.replace(_NO_BREAK, " ") for line in wrapped]
         one_line = None if isinstance(spec.default, list) else False  # of PyYAML: lists as [a, b], but no {name: value}
         entry = yaml.safe_dump({key: spec.default}, default_flow_style=one_line, width=_FILE_WIDTH - 4 * len(_INDENT))
         lines += textwrap.indent(entry, _INDENT).splitlines()

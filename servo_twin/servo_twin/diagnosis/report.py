@@ -35,12 +35,13 @@ def _quantity(name: str, unknown: float) -> float:
 
 
 def _size(name: str, value: float, low: float, high: float) -> str:
+    width = high - low  # of the unknown: that of an angle at 90 degrees would be zero
     value, low, high = (_quantity(name, x) for x in (value, low, high))
     if name in _ABSOLUTE:
         scale, unit = _ABSOLUTE[name]
-        middle, minimum, maximum = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
+        middle, minimum, maximum = (_rounded(scale * x, scale * width) for x in (value, low, high))
         return f"{middle} {unit} ({minimum}..{maximum})"
-    middle, minimum, maximum = (_rounded(max(x, 0.0), high - low, sign=False) for x in (value, low, high))
+    middle, minimum, maximum = (_rounded(max(x, 0.0), width, sign=False) for x in (value, low, high))
     return f"{middle} times ({minimum}..{maximum})"
 
 

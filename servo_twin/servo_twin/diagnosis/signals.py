@@ -8,7 +8,7 @@ With ``d`` for board minus twin, index 0 for values of the twin's plant, and a f
 
 The equations are linear, for changes of any size, in the relative changes a of resistance, flux, inertia and Coulomb
 friction, the load torque T and the sine of the error e of the encoder angle (`likelihood_ratio` adds the factor cos e
-of the flux in voltage q). Effects common to both boards (dead time, ripple, delays) cancel.
+of the flux in torque and voltage q). Effects common to both boards (dead time, ripple, delays) cancel.
 
 Samples are 8 ms apart; the responses of the loops to noise in between are aliased. Differences within the same sample
 are regressors of the aliasing error (`ALIASES`). For the torque: the sampled speed minus the derivative of the
