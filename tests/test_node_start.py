@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter, parameter_dict_from_yaml_file, parameter_
 from servo_bridge.node import ServoBridge
 from servo_bridge.parameters import PARAMETERS as BRIDGE_PARAMETERS
 from servo_msgs_py.runtime.node_shell import NameTakenError, claim_name, full_name
-from servo_msgs_py.runtime.parameters import ParameterError, Spec, parameter_file
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, ros_parameter_file
 from servo_twin.node import PARAMETERS as TWIN_PARAMETERS
 from servo_twin.node import ServoTwin
 from servo_twin.viewer_node import PARAMETERS as VIEWER_PARAMETERS
@@ -154,7 +154,7 @@ CONFIGURATIONS = [
 @pytest.mark.parametrize(("package", "name", "parameters"), CONFIGURATIONS)
 def test_parameter_files_are_up_to_date(package: str, name: str, parameters: Mapping[str, Spec]) -> None:
     text = (ROOT / package / "config" / name).read_text(encoding="utf-8")
-    assert text == parameter_file(name.removesuffix(".yaml"), parameters), "run `make generate`"
+    assert text == ros_parameter_file(name.removesuffix(".yaml"), parameters), "run `make generate`"
 
 
 @pytest.mark.parametrize(("package", "name", "parameters"), CONFIGURATIONS)

@@ -18,10 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.toml import tomllib
-from servo_msgs_py.tuning.configuration import Configuration
-from servo_msgs_py.tuning.reading import parse
 
 from servo_twin.board import Firmware, SimulationError
 from servo_twin.level import Level, chosen_level
@@ -45,21 +42,9 @@ def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
         If the file does not exist.
     """
     if not path.is_file():
-        raise SimulationError(f"no such file: {path}; servo.toml of the checkout is needed: run from a checkout")
+        raise SimulationError(f"no such file: {path}")
     table: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     return table
-
-
-@functools.cache
-def nominal_configuration() -> Configuration:
-    """Contents of the committed ``servo.toml``, with defaults.
-
-    Raises
-    ------
-    SimulationError
-        If the file does not exist.
-    """
-    return parse(servo_table(), Catalogue.load())
 
 
 def as_toml(table: Mapping[str, Any], name: str = "") -> str:

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
-from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, parameter_file
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, ros_parameter_file
 
 _SPIN_TIMEOUT: Final = 0.1  # longest delay until a stop request is processed [s]
 
@@ -115,7 +115,7 @@ def run(
         print(help_text(name, purpose, parameters))
         return 0
     if own == ["--parameter-file"]:
-        print(parameter_file(name, parameters), end="")
+        print(ros_parameter_file(name, parameters), end="")
         return 0
     if own:
         return _print_error(name, f"unknown argument {own[0]}; --help lists all arguments", 2)

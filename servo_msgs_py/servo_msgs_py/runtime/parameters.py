@@ -102,7 +102,7 @@ def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
     return "\n".join(lines)
 
 
-def parameter_file(name: str, parameters: Mapping[str, Spec]) -> str:
+def ros_parameter_file(name: str, parameters: Mapping[str, Spec]) -> str:
     """Parameter file for ``--params-file``: every parameter of a node with its description and default."""
     at_start = all(spec.read_only for spec in parameters.values())
     access = (

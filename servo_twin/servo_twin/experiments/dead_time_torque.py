@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_twin.experiments.plant_limits import nominal_tuning
 from servo_twin.experiments.rig import COUNT, TICK, AxisTrace
-from servo_twin.firmware_build import nominal_configuration
 from servo_twin.plant import PlantConfig
 
 
@@ -42,7 +42,7 @@ def displacement(
 def response(
     torques: NDArray[np.float64], plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
 ) -> NDArray[np.float64]:
-    """Response of the shaft to torques, with linear control loops and the bandwidths of servo.toml [counts].
+    """Response of the shaft to torques, with linear control loops and the nominal bandwidths [counts].
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def response(
     plant, axis, position, heavier
         See `displacement`.
     """
-    tuning, inertia = nominal_configuration().axes[axis], plant.axes[axis].inertia
+    tuning, inertia = nominal_tuning(axis).axis, plant.axes[axis].inertia
     speed_loop = 2.0 * math.pi * tuning("control.speed_bandwidth")
     corner = speed_loop / tuning("control.speed_ratio")
     bandwidth = speed_loop / heavier

@@ -6,6 +6,7 @@ not permit the set-points for the nominal plant, an experiment reduces them and 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,10 +14,13 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.measurement.prediction import tuned_of_board
+from servo_msgs_py.tuning.tuned import Tuned
 
+from servo_twin.board import Board
+from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.experiments import rig
 from servo_twin.experiments.rig import COUNT, TICK
-from servo_twin.firmware_build import nominal_configuration
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -61,14 +65,21 @@ class Demand:
     current: float  # current limit [A]
 
 
+@functools.cache
+def nominal_tuning(axis: int) -> Tuned:
+    """Gains and nominal values of an axis in the built-in configuration of the firmware."""
+    with Board(level="ideal") as board:
+        return tuned_of_board(VirtualBoardAccess(board), axis)
+
+
 def over_voltage() -> float:
     """Over-voltage limit of the drive [V]."""
-    return nominal_configuration().board("over_voltage")
+    return nominal_tuning(0).board("over_voltage")
 
 
 def modulation() -> float:
     """Largest phase voltage of the drive relative to the bus voltage."""
-    return nominal_configuration().board("voltage_use") / math.sqrt(3.0)
+    return nominal_tuning(0).board("voltage_use") / math.sqrt(3.0)
 
 
 def nominal_shafts(plant: PlantConfig, seed: int) -> tuple[NominalShaft, ...]:
