@@ -10,7 +10,7 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction, RegisterEventHandler
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.event_handlers import OnProcessExit
 from launch.events.process import ProcessExited
 from launch.substitutions import EqualsSubstitution, IfElseSubstitution, LaunchConfiguration
@@ -87,11 +87,13 @@ def generate_launch_description() -> LaunchDescription:
 
     def bridge_ended(event: ProcessExited, context: LaunchContext) -> None:
         """End the launch with a failure if the bridge ends."""
-        if not context.is_shutdown and context.perform_substitution(respawn) != "true":
+        if not context.is_shutdown:
             raise RuntimeError(f"the bridge has ended with status {event.returncode}")
 
-    respawn = value["respawn"]
-    end = RegisterEventHandler(OnProcessExit(target_action=bridge, on_exit=bridge_ended))
+    # The condition is evaluated here: arguments of a file that another one includes are unknown when the bridge ends.
+    end = RegisterEventHandler(
+        OnProcessExit(target_action=bridge, on_exit=bridge_ended), condition=UnlessCondition(value["respawn"])
+    )
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
