@@ -184,6 +184,7 @@ class Arbiter:
             assert self._axes is not None
             position = self._axes[axis].position
             ends = [joint.position((position + distance) * variable.lsb) for distance in (-self._reach, self._reach)]
+            value = joint.nearest(value, joint.position(position * variable.lsb))
             motor = joint.motor_position(value)
         elif mode is Mode.SPEED:
             ends = [joint.velocity(end) for end in (variable.minimum, variable.maximum)]

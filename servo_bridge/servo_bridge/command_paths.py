@@ -112,7 +112,7 @@ def run_path(user: PathUser, args: argparse.Namespace) -> str:
     joints, motors, raw = user.joints(), user.motors(), user.parameters()
     names = joint_names(joints)
     limits = dict(zip(names, path_limits(Catalogue.load(), raw, joints, motors), strict=True))
-    path = _plan(args, positions, limits)
+    path = _plan(args, positions, limits, {joint.name: joint for joint in joints})
     require(path, [limits[joint] for joint in path.joints])
     report = _report(path, limits, _currents(joints, motors, raw))
     if args.dry_run:
@@ -143,17 +143,22 @@ def _currents(joints: Sequence[Joint], motors: Sequence[Motor], raw: RawParamete
     }
 
 
-def _plan(args: argparse.Namespace, positions: dict[str, float], limits: dict[str, Limits]) -> Path:
+def _plan(
+    args: argparse.Namespace, positions: dict[str, float], limits: dict[str, Limits], joints: dict[str, Joint]
+) -> Path:
     if args.verb == "move":
         targets = dict(args.targets)
         _check_joints(targets, positions)
-        start, goal = ([source[joint] for joint in targets] for source in (positions, targets))
+        start = [positions[joint] for joint in targets]
+        goal = [joints[joint].nearest(targets[joint], positions[joint]) for joint in targets]
         return move(list(targets), start, goal, args.time, [limits[joint] for joint in targets])
     if args.verb == "sine":
         _check_joints([args.joint], positions)
         return sine(args.joint, positions[args.joint], args.amplitude, args.frequency, args.duration)
     waypoints = read_waypoints(args.file, list(positions))
-    return path_through(waypoints, State.at_rest([positions[joint] for joint in waypoints.joints]))
+    state = State.at_rest([positions[joint] for joint in waypoints.joints])
+    wrapping = [joint for joint in waypoints.joints if joints[joint].wraps]
+    return path_through(waypoints.unwrapped(waypoints.positions[0], state.position, wrapping), state)
 
 
 def _check_joints(names: Sequence[str] | dict[str, float], positions: dict[str, float]) -> None:

@@ -7,11 +7,12 @@ import importlib
 import math
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.action import ActionServer, CancelResponse
 from servo_msgs_py.convert import to_stamp
 from trajectory_msgs.msg import JointTrajectoryPoint
@@ -95,6 +96,7 @@ class FollowAction:
         self._node = context.node
         self._type: Any = interfaces.FollowJointTrajectory
         self._joints = list(context.joints)
+        self._gears = {joint.name: joint for joint in context.arbiter.joints}
         self._trajectories = trajectories
         self._follower = follower
         self._defaults = defaults
@@ -255,8 +257,10 @@ class FollowAction:
     def _feedback(self, active: _Active, stamp_ns: int, desired: State, actual: State) -> Any:
         feedback = self._type.Feedback(joint_names=active.goal.joints)
         feedback.header.stamp = to_stamp(stamp_ns)
-        feedback.desired = _point(desired)
-        feedback.actual = _point(actual)
+        feedback.desired, feedback.actual = (
+            _point(replace(state, position=self._reported(active.goal.joints, state.position)))
+            for state in (desired, actual)
+        )
         error = State(
             desired.position - actual.position,
             desired.velocity - actual.velocity,
@@ -265,6 +269,9 @@ class FollowAction:
         )
         feedback.error = _point(error)
         return feedback
+
+    def _reported(self, joints: Sequence[str], positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array([self._gears[joint].reported(x) for joint, x in zip(joints, positions, strict=True)])
 
 
 def _measured(position: Sequence[float], velocity: Sequence[float]) -> State:

@@ -59,6 +59,11 @@ _SETTINGS: Mapping[str, Spec] = {
     "gear_ratio": Spec([1.0, 1.0], "turns of the motor per turn of the joint, per joint, 0.0001 .. 100000"),
     "direction": Spec([1, 1], "1, or -1 if joint and motor turn in opposite directions, per joint"),
     "offset": Spec([0.0, 0.0], "position of the joint at motor position 0, per joint [rad]"),
+    "wraps": Spec(
+        [False, False],
+        "true: positions of the joint are angles in -pi .. pi, as of a joint that is continuous in URDF; set-points "
+        "take the shorter way. False: the joint counts its turns. Per joint",
+    ),
     "telemetry": Spec(
         [
             "u_dc",
@@ -91,8 +96,8 @@ _SETTINGS: Mapping[str, Spec] = {
     ),
     "position_min": Spec(
         [-NO_LIMIT, -NO_LIMIT],
-        "lowest position set-point per joint [rad]; -1.0e+15: no limit. A joint without limits is continuous; its "
-        "single steps are limited to 2^30 counts of the motor (1686630 rad of its shaft)",
+        "lowest position set-point per joint [rad]; -1.0e+15: no limit. Single steps are limited to 2^30 counts of the "
+        "motor (1686630 rad of its shaft)",
         read_only=False,
     ),
     "position_max": Spec(
@@ -314,12 +319,10 @@ def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assig
 
 
 def _joints(values: Mapping[str, Any]) -> tuple[Joint, ...]:
-    columns = (values["joints"], *(_per_joint(values, name) for name in ("gear_ratio", "direction", "offset")))
+    gears = (_per_joint(values, name) for name in ("gear_ratio", "direction", "offset"))
+    rows = zip(values["joints"], *gears, _limits(values), _flags(values, "wraps"), strict=True)
     try:
-        return tuple(
-            Joint(name, ratio, direction, offset, limits)
-            for name, ratio, direction, offset, limits in zip(*columns, _limits(values), strict=True)
-        )
+        return tuple(Joint(*row) for row in rows)
     except ValueError as error:
         raise ParameterError(f"parameter {error}") from None
 
@@ -343,6 +346,13 @@ def _per_joint(values: Mapping[str, Any], name: str) -> Sequence[Any]:
     if len(numbers) != AXES or any(math.isnan(x) for x in numbers):
         raise ParameterError(f"parameter {name} is {list(numbers)}; write {AXES} numbers, one per joint")
     return numbers
+
+
+def _flags(values: Mapping[str, Any], name: str) -> Sequence[bool]:
+    flags: Sequence[bool] = values[name]
+    if len(flags) != AXES:
+        raise ParameterError(f"parameter {name} is {list(flags)}; write {AXES} of true and false, one per joint")
+    return flags
 
 
 def _goal_defaults(values: Mapping[str, Any], names: Sequence[str]) -> GoalDefaults:

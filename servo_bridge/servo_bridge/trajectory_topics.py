@@ -149,7 +149,8 @@ class TrajectoryTopics:
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
 
         def plan(running: Path, now: float) -> Path:
-            return from_message(message, running, now, origin_ns, source=source)
+            wrapping = [joint.name for joint in self._context.arbiter.joints if joint.wraps]
+            return from_message(message, running, now, origin_ns, source=source, wrapping=wrapping)
 
         def started(end: float) -> None:
             self._info(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 
 import pytest
 from hypothesis import example, given
@@ -63,6 +64,17 @@ def test_the_mode_is_not_written_again() -> None:
     drain(subject)
     subject.submit(request({0: 0.0, 1: 0.0}))
     assert drain(subject) == [CommandWrite("cmd.position", 0, (0, 0))]
+
+
+def test_a_joint_that_wraps_moves_by_the_shorter_way() -> None:
+    wheel = Joint("axis1", gear_ratio=2.0, wraps=True)
+    subject = Arbiter(CATALOGUE, [wheel, Joint("axis2")])
+    subject.release()
+    at = replace(SPINNING, position=round(wheel.motor_position(3 * TURN + 3.0) / LSB))
+    subject.update_axes((at, at))
+    subject.submit(request({0: -3.0, 1: -3.0}))
+    _, write = drain(subject)
+    assert [raw * LSB for raw in write.raw] == pytest.approx([2.0 * (4 * TURN - 3.0), -3.0], abs=LSB)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

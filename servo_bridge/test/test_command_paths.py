@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -21,14 +22,19 @@ for _name, _value in (("speed_limit", 300.0), ("acceleration_limit", 4000.0), ("
 MOTORS = [Motor(0.05, 8.0e-6), Motor(0.04, 2.0e-5)]
 
 
-def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1000.0) -> str:
-    """Report about a sine with an acceleration amplitude of the joint [rad/s^2]."""
-    user = SimpleNamespace(
-        positions=lambda: {"axis1": 0.0, "axis2": 0.0},
-        joints=lambda: [Joint("axis1", gear_ratio), Joint("axis2")],
+def user_of(joint: Joint, motors: list[Motor], position: float = 0.0) -> SimpleNamespace:
+    """Client of a board whose first joint is at a position [rad]."""
+    return SimpleNamespace(
+        positions=lambda: {"axis1": position, "axis2": 0.0},
+        joints=lambda: [joint, Joint("axis2")],
         motors=lambda: motors,
         parameters=lambda: RAW,
     )
+
+
+def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1000.0) -> str:
+    """Report about a sine with an acceleration amplitude of the joint [rad/s^2]."""
+    user = user_of(Joint("axis1", gear_ratio), motors)
     omega = 2.0 * 3.141592653589793 * 5.0
     options = {"joint": "axis1", "amplitude": acceleration / omega**2, "frequency": 5.0, "duration": 4.0}
     args = argparse.Namespace(verb="sine", dry_run=True, **options)
@@ -42,6 +48,17 @@ def test_dry_run_prints_the_current_of_the_acceleration(gear_ratio: float) -> No
     acceleration, current = map(float, printed.groups())
     assert current == pytest.approx(acceleration * gear_ratio * 8.0e-6 / 0.05, rel=0.01)
     assert acceleration == pytest.approx(1000.0, rel=0.2)
+
+
+@pytest.mark.parametrize(("wraps", "end"), [(False, "-3 rad"), (True, "3.28319 rad")])
+def test_a_joint_that_wraps_moves_by_the_shorter_way(tmp_path: Path, wraps: bool, end: str) -> None:
+    user = user_of(Joint("axis1", wraps=wraps), MOTORS, position=3.0)
+    move = argparse.Namespace(verb="move", dry_run=True, targets=[("axis1", -3.0)], time=1.0)
+    file = tmp_path / "path.csv"
+    file.write_text("time,axis1\n1.0,-3.0\n")
+    follow = argparse.Namespace(verb="follow", dry_run=True, file=str(file))
+    for args in (move, follow):
+        assert f"axis1: to {end}" in run_path(user, args)
 
 
 def test_current_of_an_unknown_motor_is_not_reported() -> None:

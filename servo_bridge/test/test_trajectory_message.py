@@ -129,6 +129,16 @@ def test_a_bad_trajectory_is_refused_with_its_reason(trajectory: Any, code: int,
     assert caught.value.code == ErrorCode(code)
 
 
+@pytest.mark.parametrize("begin", [None, 5.0])
+def test_a_trajectory_of_a_joint_that_wraps_is_moved_by_turns_to_the_joint(begin: float | None) -> None:
+    """With the same motion: from 20 rad, 0.1 rad is 18.95 rad; with a begin in the past the joint is met on its way."""
+    running = Path.hold(JOINTS, [20.0, 20.0])
+    trajectory = message(point(4.0, 0.1, 0.1), point(6.0, 0.3, 0.3), point(7.0, 5.0, 5.0), at=begin)
+    path = taken(trajectory, running, wrapping=("axis1",))
+    same(path.state(NOW), running.state(NOW))
+    np.testing.assert_allclose(path.end, [5.0 + 3.0 * 2.0 * np.pi, 5.0])
+
+
 def test_messages_of_ros_become_a_path() -> None:
     messages = pytest.importorskip("trajectory_msgs.msg")
     interfaces = pytest.importorskip("builtin_interfaces.msg")

@@ -102,7 +102,7 @@ def joint_state_from_values(
     return joint_state(
         joint_names(joints),
         stamp_ns,
-        [joint.position(_number(values[f"{axis}.position"])) for joint, axis in axes],
+        [joint.reported(joint.position(_number(values[f"{axis}.position"]))) for joint, axis in axes],
         [joint.velocity(_number(values[f"{axis}.speed"])) for joint, axis in axes],
         effort,
     )

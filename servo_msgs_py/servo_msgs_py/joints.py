@@ -34,7 +34,7 @@ class JointLimits:
 
     @property
     def bounded(self) -> bool:
-        """Whether the position is limited; otherwise the joint is continuous."""
+        """Whether the position is limited."""
         return self.position_min > -math.inf or self.position_max < math.inf
 
 
@@ -44,10 +44,13 @@ class Joint:
 
     joint position = motor position / `reduction` + `offset`
 
+    A joint counts its turns, unless it `wraps`: then its position is an angle, and positions that differ by whole turns
+    are the same place.
+
     Raises
     ------
     ValueError
-        If the gear ratio, the direction or the offset is outside its range.
+        If the gear ratio, the direction or the offset is outside its range, or a joint that wraps has position limits.
     """
 
     name: str  # name on ROS
@@ -55,6 +58,7 @@ class Joint:
     direction: int = 1  # 1; -1: joint and motor rotate in opposite directions
     offset: float = 0.0  # joint position at motor position 0 [rad]
     limits: JointLimits = field(default_factory=JointLimits)  # in joint units
+    wraps: bool = False  # whether positions are angles within -pi .. pi
 
     def __post_init__(self) -> None:
         if not GEAR_RATIO_MIN <= self.gear_ratio <= GEAR_RATIO_MAX:
@@ -68,6 +72,11 @@ class Joint:
             raise ValueError(
                 f"offset of {self.name} is {self.offset:g} rad; give the joint position at motor position "
                 f"0, {-OFFSET_MAX:.0f} .. {OFFSET_MAX:.0f} rad"
+            )
+        if self.wraps and self.limits.bounded:
+            raise ValueError(
+                f"wraps of {self.name} is true, but it has position limits, which an angle that wraps cannot keep; "
+                "remove position_min and position_max of this joint, or write false"
             )
 
     @property
@@ -87,6 +96,15 @@ class Joint:
     def effort(self, motor: _Number) -> _Number:
         """Joint torque [N m]."""
         return motor * self.reduction
+
+    # ---- joints that wrap
+    def reported(self, position: _Number) -> _Number:
+        """Position as published [rad]: within -pi .. pi if the joint wraps, otherwise unchanged."""
+        return (position + math.pi) % math.tau - math.pi if self.wraps else position
+
+    def nearest(self, position: float, reference: float) -> float:
+        """The place `position` by the shortest way from `reference` [rad]; `position` itself unless the joint wraps."""
+        return position + math.tau * round((reference - position) / math.tau) if self.wraps else position
 
     # ---- joint to motor
     def motor_position(self, position: _Number) -> _Number:

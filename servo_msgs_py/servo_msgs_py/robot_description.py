@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
@@ -58,7 +58,8 @@ def describe(
     joints : sequence of Joint
         In the order of the axes.
     catalogue : Catalogue
-        Source of the speed limit of the board, which also limits the velocity of the joints.
+        Source of the speed limit of the board, which also limits the velocity of the joints, and of the range of its
+        position counter, which is that of a joint without position limits.
     commands_topic, states_topic : str
         Names of the topics of set-points and of states, fully resolved.
     interfaces : mapping of str to collection of str, optional
@@ -71,12 +72,11 @@ def describe(
     str
         URDF.
     """
-    speed_max = catalogue["cmd.speed"].maximum
     robot = ET.Element("robot", name="servo")
     _link(robot, _BASE, [])
     for axis, joint in enumerate(joints):
         _link(robot, _link_name(joint), _pointer())
-        _joint(robot, joint, axis, speed_max)
+        _joint(robot, joint, axis, catalogue)
     control = ET.SubElement(robot, "ros2_control", name="servo", type="system")
     hardware = ET.SubElement(control, "hardware")
     ET.SubElement(hardware, "plugin").text = _PLUGIN
@@ -103,19 +103,28 @@ def describe(
     return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _joint(robot: ET.Element, joint: Joint, axis: int, speed_max: float) -> None:
+def _joint(robot: ET.Element, joint: Joint, axis: int, catalogue: Catalogue) -> None:
     limits = joint.limits
-    kind = "revolute" if limits.bounded else "continuous"
-    part = ET.SubElement(robot, "joint", name=joint.name, type=kind)
+    # A controller takes the shorter way to a position of a continuous joint; one that counts turns is not continuous.
+    part = ET.SubElement(robot, "joint", name=joint.name, type="continuous" if joint.wraps else "revolute")
     ET.SubElement(part, "parent", link=_BASE)
     ET.SubElement(part, "child", link=_link_name(joint))
     ET.SubElement(part, "origin", xyz=f"{axis * _DISTANCE:g} 0 0", rpy="0 0 0")
     ET.SubElement(part, "axis", xyz="0 0 1")
-    velocity = min(limits.velocity_max, abs(joint.velocity(speed_max)))
+    velocity = min(limits.velocity_max, abs(joint.velocity(catalogue["cmd.speed"].maximum)))
     values = {"effort": limits.effort_max, "velocity": velocity}
-    if limits.bounded:
-        values |= {"lower": limits.position_min, "upper": limits.position_max}
+    if not joint.wraps:
+        low, high = _counter_range(joint, catalogue)
+        values["lower"] = limits.position_min if limits.position_min > -math.inf else low
+        values["upper"] = limits.position_max if limits.position_max < math.inf else high
     ET.SubElement(part, "limit", {name: _text(value) for name, value in values.items()})
+
+
+def _counter_range(joint: Joint, catalogue: Catalogue) -> tuple[float, float]:
+    """Positions of a joint at the ends of the position counter of the board [rad]; they stand for no limit."""
+    counter = catalogue["axis1.position"]
+    low, high = sorted(joint.position(end) for end in (counter.minimum, counter.maximum))
+    return low, high
 
 
 def _link_name(joint: Joint) -> str:
@@ -158,6 +167,7 @@ def joints_of(description: str) -> list[Joint]:
         robot = ET.fromstring(description)
     except ET.ParseError as error:
         raise ValueError(f"the robot description is not XML: {error}") from None
+    catalogue = Catalogue.load()
     joints = []
     for gear in robot.iterfind("ros2_control/transmission"):
         part = _child(gear, "joint")
@@ -167,8 +177,9 @@ def joints_of(description: str) -> list[Joint]:
             raise ValueError(f"the robot description has a transmission of joint {name!r}, which does not exist")
         reduction = _number(_child(part, "mechanical_reduction").text, f"mechanical_reduction of {name}")
         offset = _number(_child(part, "offset").text, f"offset of {name}")
-        direction = -1 if reduction < 0.0 else 1
-        joints.append(Joint(name, abs(reduction), direction, offset, _limits(matches[0])))
+        joint = Joint(name, abs(reduction), -1 if reduction < 0.0 else 1, offset)
+        wraps = matches[0].get("type") == "continuous"
+        joints.append(replace(joint, limits=_limits(matches[0], _counter_range(joint, catalogue)), wraps=wraps))
     if len(joints) != AXES:
         raise ValueError(f"the robot description has {len(joints)} transmissions; {AXES} expected")
     return joints
@@ -191,11 +202,11 @@ def motors_of(description: str) -> list[Motor]:
     return motors if len(motors) == AXES else []
 
 
-def _limits(joint: ET.Element) -> JointLimits:
+def _limits(joint: ET.Element, unlimited: tuple[float, float]) -> JointLimits:
     name, limit = joint.get("name"), _child(joint, "limit")
-    required = ("lower", "upper", "velocity", "effort") if joint.get("type") == "revolute" else ("velocity", "effort")
-    found = {key: _number(limit.get(key), f"limit {key} of {name}") for key in required}
-    finite = {key: value for key, value in found.items() if abs(value) < NO_LIMIT}
+    keys = ("velocity", "effort") if joint.get("type") == "continuous" else ("lower", "upper", "velocity", "effort")
+    found = {key: _number(limit.get(key), f"limit {key} of {name}") for key in keys}
+    finite = {key: value for key, value in found.items() if abs(value) < NO_LIMIT and value not in unlimited}
     return JointLimits(
         finite.get("lower", -math.inf),
         finite.get("upper", math.inf),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -23,9 +24,9 @@ LIMITS = st.builds(
     st.floats(0.0, 0.4),  # below the speed of the motor with any gear, so that the limit of the board does not apply
     st.floats(0.0, 1e3) | st.just(math.inf),
 )
-JOINTS = st.builds(
-    Joint, st.just("elbow"), RATIOS, DIRECTIONS, SMALL, LIMITS | st.just(JointLimits(velocity_max=0.4, effort_max=1.0))
-)
+UNBOUNDED = JointLimits(velocity_max=0.4, effort_max=1.0)
+WHEELS = st.builds(Joint, st.just("elbow"), RATIOS, DIRECTIONS, SMALL, st.just(UNBOUNDED), st.just(True))
+JOINTS = WHEELS | st.builds(Joint, st.just("elbow"), RATIOS, DIRECTIONS, SMALL, LIMITS | st.just(UNBOUNDED))
 LIFT = Joint("lift", 50.0, -1, 0.3, JointLimits(-1.0, 2.0, 5.0, 20.0))
 
 
@@ -63,11 +64,27 @@ def test_the_default_joint_is_the_shaft_bit_for_bit(value: float) -> None:
 
 @pytest.mark.parametrize(
     ("values", "message"),
-    [((0.0, 1, 0.0), "gear_ratio of lift"), ((1.0, 2, 0.0), "direction of lift"), ((1.0, 1, math.nan), "offset of")],
+    [
+        ((0.0, 1, 0.0), "gear_ratio of lift"),
+        ((1.0, 2, 0.0), "direction of lift"),
+        ((1.0, 1, math.nan), "offset of"),
+        ((1.0, 1, 0.0, JointLimits(position_max=1.0), True), "wraps of lift"),
+    ],
 )
-def test_invalid_gears_are_refused(values: tuple[float, int, float], message: str) -> None:
+def test_invalid_joints_are_refused(values: tuple[Any, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Joint("lift", *values)
+
+
+@given(SMALL, SMALL)
+def test_a_joint_that_wraps_reports_angles_and_takes_the_shorter_way(position: float, reference: float) -> None:
+    wheel, spindle = Joint("wheel", wraps=True), Joint("spindle")
+    angle, target = wheel.reported(position), wheel.nearest(position, reference)
+    assert -math.pi <= angle <= math.pi
+    assert abs(target - reference) <= math.pi + 1e-9
+    for place in (angle, target):
+        assert math.remainder(place - position, math.tau) == pytest.approx(0.0, abs=1e-9)
+    assert spindle.reported(position) == spindle.nearest(position, reference) == position
 
 
 @given(JOINTS)
@@ -99,7 +116,23 @@ def test_a_description_is_a_tree_with_the_limits_that_its_readers_require() -> N
         assert set(limit.attrib) == required
         assert all(math.isfinite(float(value)) for value in limit.attrib.values())
     assert len(links - children) == 1, "one root"
-    assert [joint.get("type") for joint in robot.iterfind("joint")] == ["continuous", "revolute"]
+
+
+def test_only_a_joint_that_wraps_is_continuous() -> None:
+    """A controller that takes a joint for continuous begins a trajectory up to half a turn from the shaft."""
+    turns = 2**31 / 4000
+    for joint, kind, upper in (
+        (Joint("spindle", 50.0, -1), "revolute", math.tau * turns / 50.0),
+        (LIFT, "revolute", 2.0),
+        (Joint("wheel", wraps=True), "continuous", None),
+    ):
+        part = ET.fromstring(described(joint, Joint("other"))).find("joint")
+        assert part is not None
+        limit = part.find("limit")
+        assert limit is not None
+        assert part.get("type") == kind
+        ends = limit.get("lower"), limit.get("upper")
+        assert ends == (None, None) if upper is None else float(ends[1] or "") == pytest.approx(upper, rel=1e-6)
 
 
 def test_the_hardware_of_ros2_control_has_a_state_for_every_command() -> None:

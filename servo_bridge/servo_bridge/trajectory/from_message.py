@@ -2,12 +2,13 @@
 
 Same rules: positions are required; velocities, accelerations and effort for all joints of a point or none; joints in
 any order; invalid messages are refused as a whole. Differences: the present path continues until a stamp in the future;
-a trajectory that has begun is joined without a step; NaN and repeated joints are refused.
+a trajectory that has begun is joined without a step; NaN and repeated joints are refused. For joints that wrap the same
+rule as there: the whole trajectory is moved by turns, so that its begin is closest to the joint.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ def from_message(
     source: str = "joint_trajectory",
     start_tolerance: float = START_TOLERANCE,
     may_end_moving: bool = False,
+    wrapping: Collection[str] = (),
 ) -> Path:
     """Return the path of the joints of a message, starting with the state of the present path.
 
@@ -51,6 +53,8 @@ def from_message(
         Largest distance between a point at the start time and the joint [rad]; see `path_through`.
     may_end_moving : bool
         Permit a velocity at the last point.
+    wrapping : collection of str
+        Joints whose positions are angles; `running` counts their turns.
 
     Returns
     -------
@@ -68,14 +72,21 @@ def from_message(
         check_joints(names)
         stamp_ns = _nanoseconds(message.header.stamp)
         begin = (stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else now
-        path = _path(_waypoints(message, names, begin), running, begin, now, start_tolerance, may_end_moving)
+        waypoints = _waypoints(message, names, begin)
+        path = _path(waypoints, running, begin, now, start_tolerance, may_end_moving, wrapping)
         return path.select([joint for joint in running.joints if joint in names])
     except TrajectoryError as error:
         raise TrajectoryError(f"{source}: {error}", error.code) from None
 
 
 def _path(
-    waypoints: Waypoints, running: Path, begin: float, now: float, start_tolerance: float, may_end_moving: bool
+    waypoints: Waypoints,
+    running: Path,
+    begin: float,
+    now: float,
+    start_tolerance: float,
+    may_end_moving: bool,
+    wrapping: Collection[str],
 ) -> Path:
     if not may_end_moving:
         for joint, velocity in zip(waypoints.joints, waypoints.velocities[-1], strict=True):
@@ -92,8 +103,12 @@ def _path(
             ErrorCode.OLD_HEADER_TIMESTAMP,
         )
     if waypoints.times[0] <= now and begin < now:
-        return joined(old.state(now), now, path_through(waypoints))
-    return path_through(waypoints, old.state(start), start, start_tolerance)
+        state = old.state(now)
+        waypoints = waypoints.unwrapped(path_through(waypoints).state(now).position, state.position, wrapping)
+        return joined(state, now, path_through(waypoints))
+    state = old.state(start)
+    waypoints = waypoints.unwrapped(waypoints.positions[0], state.position, wrapping)
+    return path_through(waypoints, state, start, start_tolerance)
 
 
 def _waypoints(message: Any, names: list[str], begin: float) -> Waypoints:

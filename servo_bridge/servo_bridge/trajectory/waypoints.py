@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,6 +85,20 @@ class Waypoints:
             k = int(np.argmax(alone))
             raise TrajectoryError(f"point #{k} has accelerations but no velocities; write both, or omit both")
         return cls(tuple(joints), instants, tables[0], tables[1], tables[2], np.nan_to_num(tables[3]))
+
+    def unwrapped(self, place: Array, reference: Array, wrapping: Collection[str]) -> Waypoints:
+        """Return the waypoints moved by whole turns, for joints whose positions are angles.
+
+        Parameters
+        ----------
+        place, reference : (joints,) array
+            A place of the path, and the position to which it shall be moved closest [rad].
+        wrapping : collection of str
+            Joints whose positions are angles; the others are not moved.
+        """
+        turns = np.round((reference - place) / math.tau)
+        turns[[joint not in wrapping for joint in self.joints]] = 0.0
+        return replace(self, positions=self.positions + math.tau * turns)
 
 
 def check_joints(joints: Sequence[str]) -> None:
