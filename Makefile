@@ -17,6 +17,10 @@ LEVEL ?=
 ifneq ($(LEVEL),)
 export SERVO_TWIN_LEVEL := $(LEVEL)
 endif
+# A text as one word of the shell, and an option with the value of a variable, if it has one. The value may contain any character
+# but a line break; the variables NAME_ARGS are words of the shell.
+quoted = '$(subst ','\'',$(1))'
+option = $(if $(value $(2)),$(1) $(call quoted,$(value $(2))))
 # A test that hangs fails; one that hangs where Python cannot interrupt it ends the run with the stack of every thread.
 TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
 PYTEST = $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS)
@@ -67,7 +71,7 @@ demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/
 	@$(BIN)/servo-up --demo --out out
 
 up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board, SET=... for its parameters
-	@$(BIN)/servo-up $(if $(PORT),--port '$(PORT)') $(if $(BAUD),--baud '$(BAUD)') $(foreach set,$(SET),--set '$(set)')
+	@$(BIN)/servo-up $(call option,--port,PORT) $(call option,--baud,BAUD) $(foreach set,$(value SET),--set $(call quoted,$(set)))
 
 experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments
@@ -97,7 +101,7 @@ bench-twin: $(VENV)/.fast ## how fast a virtual board is, at both levels; where 
 launch-tools: $(VENV)/.packages ## `ros2 launch`, for the tests, from a folder with checkouts of the ROS 2 repositories; ROS2_SOURCES=DIR
 	@: $${ROS2_SOURCES:?a folder with jazzy checkouts of launch, launch_ros, ros2cli and osrf_pycommon}
 	@rm -rf $(VENV)/ros2launch
-	@$(PIP) install --quiet --no-deps --no-build-isolation --target $(VENV)/ros2launch $(addprefix $(ROS2_SOURCES)/,osrf_pycommon \
+	@$(PIP) install --quiet --no-deps --no-build-isolation --target $(VENV)/ros2launch $(addprefix "$$ROS2_SOURCES"/,osrf_pycommon \
 	  launch/launch launch/launch_xml launch/launch_yaml launch_ros/launch_ros launch_ros/ros2launch $(addprefix ros2cli/,ros2cli \
 	  ros2interface ros2node ros2param ros2pkg ros2run ros2service ros2topic))
 	@mkdir $(VENV)/ros2launch/composition_interfaces
@@ -107,7 +111,7 @@ targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on 
 	@PYTHONPATH=tests $(BIN)/python -m targets $(TARGETS_ARGS)
 
 fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
-	@$(BIN)/python firmware/test/freemaster_fuzz.py --seconds $(or $(FUZZ_SECONDS),600)
+	@$(BIN)/python firmware/test/freemaster_fuzz.py $(call option,--seconds,FUZZ_SECONDS)
 
 # Tests in real time mostly wait for the clock. The others use the rest of the processors, with the lowest priority: as processes,
 # and as a session, because Linux may share the processors among sessions first (autogroup). Their output comes last.
@@ -122,7 +126,7 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 test-simulated: $(VENV)/.native $(VENV)/.dev ## make lint, and the tests that do not keep real time (part of test)
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
 	echo "== pytest: on every core"; \
-	$(PYTEST) -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0 || \
+	$(PYTEST) -m $(call quoted,not realtime$(if $(value MARKS), and ($(value MARKS)))) -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0 || \
 	  [ $$? -eq 5 ] || status=1; \
 	exit $$status
 
@@ -130,7 +134,7 @@ test-simulated: $(VENV)/.native $(VENV)/.dev ## make lint, and the tests that do
 # once more, alone; the last line counts what passed only then.
 test-realtime: $(VENV)/.native $(VENV)/.dev ## tests of nodes, lines and processes in real time (part of test)
 	@failed() { cat .pytest_cache/realtime/v/cache/lastfailed 2>/dev/null | grep -c ': true'; }; \
-	run() { $(PYTEST) -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME) $(REALTIME_FILES) "$$@"; result=$$?; }; \
+	run() { $(PYTEST) -m $(call quoted,realtime$(if $(value MARKS), and ($(value MARKS)))) $(REALTIME) $(REALTIME_FILES) "$$@"; result=$$?; }; \
 	echo "== pytest: in real time"; run -n 2 --dist loadfile --max-worker-restart 1; repeated=0; \
 	if [ $$result -eq 1 ]; then \
 	  echo "== pytest: what failed in real time, alone"; \
@@ -181,7 +185,7 @@ generate: generated-sources ## rewrite the committed generated files
 	  cmp -s $(VENV)/parameters.yaml $$file || cp $(VENV)/parameters.yaml $$file; done
 
 tune: $(VENV)/.created ## margins, poles and sensitivity of the gains that servo.toml gives; CONFIG=... for another file
-	@$(BIN)/python firmware/config/tune.py report $(if $(CONFIG),--config '$(CONFIG)')
+	@$(BIN)/python firmware/config/tune.py report $(call option,--config,CONFIG)
 
 clean: ## remove everything that the other targets made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache

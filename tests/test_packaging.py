@@ -166,6 +166,23 @@ def test_make_starts_servo_up_with_its_variables(arguments: tuple[str, ...], com
     assert plan.stdout.splitlines()[-1].split() == f".venv/bin/{command}".split()
 
 
+WORDS = ("o'neil.toml", "two words", 'a"b', "$HOME", "`id`", "#1", "a\\b;c")
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_values_of_make_variables_reach_the_program_as_they_are(word: str) -> None:
+    """With the name of a user, for example, in a path."""
+    expected = {
+        ("tune", f"CONFIG={word}"): ["--config", word],
+        ("up", f"PORT={word}", f"BAUD={word}"): ["--port", word, "--baud", word],
+        ("fuzz", f"FUZZ_SECONDS={word}"): ["--seconds", word],
+    }
+    for arguments, options in expected.items():
+        plan = run("make", "--dry-run", *arguments)
+        assert plan.returncode == 0, plan.stderr
+        assert shlex.split(plan.stdout.splitlines()[-1])[-len(options) :] == options
+
+
 def test_missing_tools_are_named_with_the_command_that_installs_them(tmp_path: Path) -> None:
     for tool in ("sh", "readlink", "uname", "make"):
         (tmp_path / tool).symlink_to(str(shutil.which(tool)))
