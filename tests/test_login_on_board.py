@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from servo_bridge.freemaster.frames import crc8, encode_uleb
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import read_toml
 from servo_twin.board import Board
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 
@@ -21,7 +20,7 @@ DONE, LEVEL = 0, 2
 
 @pytest.fixture(scope="module")
 def firmware() -> Any:
-    table: dict[str, Any] = copy.deepcopy(tomllib.loads(SERVO_TOML.read_text(encoding="utf-8")))
+    table: dict[str, Any] = read_toml(SERVO_TOML)
     table["board"]["passwords"] = {level: f"sha1:{hashlib.sha1(text).hexdigest()}" for level, text in PASSWORDS.items()}
     return build_firmware(as_toml(table), "ideal")
 

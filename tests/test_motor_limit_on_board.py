@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable
 from typing import Any, Final
 
 import pytest
 from servo_msgs_py.convert import state_label
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import read_toml
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
@@ -25,7 +24,7 @@ RIPPLE: Final = 0.06
 
 def small_motor() -> str:
     """Committed configuration with a 1 A motor on axis 1."""
-    table: dict[str, Any] = copy.deepcopy(tomllib.loads(SERVO_TOML.read_text(encoding="utf-8")))
+    table: dict[str, Any] = read_toml(SERVO_TOML)
     table["axis1"].setdefault("limits", {})["current"] = LIMIT
     table["axis1"].setdefault("rotor_search", {})["current"] = LIMIT
     return as_toml(table)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import parse_toml
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.restore import restore_table, toml_text
@@ -25,7 +25,7 @@ def blocks_of(source: dict[str, Any]) -> list[dict[str, int]]:
 def read_back(blocks: list[dict[str, int]]) -> tuple[dict[str, Any], list[dict[str, int]]]:
     """The file as TOML, and the blocks computed from it."""
     text = toml_text(restore_table(blocks, TIMEOUTS, CATALOGUE), "Read back")
-    again: dict[str, Any] = tomllib.loads(text)
+    again: dict[str, Any] = parse_toml(text)
     return again, blocks_of(again)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from firmware_compiler import FIRMWARE, STRICT, CompileC, CompileProgram, defined
 from port_board import PORT, names_of
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import read_toml
 
 # The reference configuration, calculated by hand for a bus of 100 MHz, 16 kHz, 1 us of dead time and 115200 baud.
 REFERENCE = {
@@ -118,7 +118,7 @@ def test_the_same_values_where_int_has_16_bits(compile_program: CompileProgram, 
 
 def test_the_application_has_the_same_quantities() -> None:
     """servo.toml holds the nominal values of the controller; the registers must agree with it."""
-    nominal = tomllib.loads((FIRMWARE / "config" / "servo.toml").read_text(encoding="utf-8"))
+    nominal = read_toml(FIRMWARE / "config" / "servo.toml")
     settings = (PORT / "settings.h").read_text(encoding="ascii")
 
     def quantity(name: str) -> int:

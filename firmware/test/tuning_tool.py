@@ -10,7 +10,7 @@ from typing import Any, Final
 from firmware_compiler import FIRMWARE
 from hypothesis import strategies as st
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import read_toml
 from servo_msgs_py.tuning.configuration import Configuration
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.tuned import Tuned, tuned
@@ -19,7 +19,7 @@ FILE: Final = FIRMWARE / "config" / "servo.toml"
 GENERATED: Final = FIRMWARE / "config" / "servo_config_gen.c"
 CATALOGUE: Final = Catalogue.load()
 
-_TABLE: Final = tomllib.loads(FILE.read_text(encoding="utf-8"))
+_TABLE: Final = read_toml(FILE)
 
 
 def table(**changes: object) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import yaml
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.robot_description import describe
+from servo_msgs_py.text_file import read_text
 
 from servo_bridge.parameters import PARAMETERS, ParameterError, settings_from
 from servo_msgs_py import topics
@@ -44,7 +45,7 @@ def description_from_file(params: str = "", namespace: str = "") -> str:
     if params:
         node = f"{board}/servo_bridge"
         try:
-            sections = yaml.safe_load(Path(params).read_text(encoding="utf-8"))
+            sections = yaml.safe_load(read_text(Path(params)))
             named = [key for key in sections if key in (node, node[1:])]
             given = parameter_dict_from_yaml_file(params, True, target_nodes=named or ["/**"])
         except (OSError, RuntimeError, TypeError, ValueError, yaml.YAMLError) as error:

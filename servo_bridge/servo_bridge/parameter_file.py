@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, parse_json, parse_toml, read_text
 
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.tool_values import parse_values
@@ -58,15 +58,13 @@ def dump(path: Path, parameters: Parameters, units: Mapping[str, str], catalogue
     return "\n".join(lines) + "\n"
 
 
-def parse(path: Path, text: str, catalogue_hash: int | None) -> Parameters:
-    """Parse a parameter file.
+def load(path: Path, catalogue_hash: int | None) -> Parameters:
+    """Read a parameter file.
 
     Parameters
     ----------
     path : Path
-        Used for messages and for the format.
-    text : str
-        Contents of the file.
+        The suffix is the format.
     catalogue_hash : int or None
         Expected hash, if the file has one; None: not checked.
 
@@ -74,10 +72,13 @@ def parse(path: Path, text: str, catalogue_hash: int | None) -> Parameters:
     ------
     ParameterFileError
         If the file is invalid.
+    OSError
+        If it cannot be read.
     """
     try:
-        table: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
+        text = read_text(path)
+        table: Any = parse_json(text) if path.suffix.lower() == ".json" else parse_toml(text)
+    except TextFileError as error:
         raise ParameterFileError(f"{path}: {error}") from None
     parameters = table.get(_TABLE) if isinstance(table, dict) else None
     if not isinstance(parameters, dict) or not parameters:

@@ -335,7 +335,7 @@ def _compare(context: Context) -> tuple[dict[str, bytes], dict[str, bytes]]:
     path = parameter_file.checked(Path(context.args.file))
     variables, catalogue = context.session.variables, context.catalogue
     known = catalogue.hash if context.session.mismatch is None else None
-    parameters = parameter_file.parse(path, path.read_text(encoding="utf-8"), known)
+    parameters = parameter_file.load(path, known)
     target = parameter_file.to_bytes(variables, parameters, catalogue)
     client = context.session.client
     return target, {name: client.read_memory(variables[name].address, variables[name].size) for name in target}

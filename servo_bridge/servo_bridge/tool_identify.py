@@ -19,12 +19,13 @@ from servo_msgs_py.measurement.estimation import estimates_of
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import UNITS, Limits
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, parse_toml, read_toml
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.interruptible import interruptible_access
+from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import file_of, read_blocks
 
@@ -103,15 +104,16 @@ def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, bo
 def _base(context: Context) -> dict[str, Any]:
     """Parsed configuration with all other entries."""
     if context.args.config is not None:
-        given: dict[str, Any] = tomllib.loads(context.args.config.read_text(encoding="utf-8"))
-        return given
+        try:
+            return read_toml(context.args.config)
+        except TextFileError as error:
+            raise UsageError(f"{context.args.config}: {error}") from None
     blocks = list(read_blocks(BlockSession(context.session)).values())
     variables = context.session.variables
     host, command = (
         numbers(context.session.read(variables[name]))[0] for name in ("param.host_timeout", "param.command_timeout")
     )
-    table: dict[str, Any] = tomllib.loads(file_of(blocks, (host, command), context.catalogue))
-    return table
+    return parse_toml(file_of(blocks, (host, command), context.catalogue))
 
 
 def _twin_installed() -> bool:

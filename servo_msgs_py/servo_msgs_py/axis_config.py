@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import read_toml
 from servo_msgs_py.tuning.stops import REFUSED
 
 _TYPES: Final[Mapping[str, tuple[int, bool]]] = {
@@ -69,8 +69,7 @@ class AxisConfigTable:
     @lru_cache(maxsize=1)
     def load(cls) -> AxisConfigTable:
         """The packaged table, with the ranges of the packaged table of variables."""
-        source = Path(__file__).with_name("axis_config.toml")
-        return cls.parse(tomllib.loads(source.read_text(encoding="utf-8")), Catalogue.load())
+        return cls.parse(read_toml(Path(__file__).with_name("axis_config.toml")), Catalogue.load())
 
     @classmethod
     def parse(cls, table: Mapping[str, Any], catalogue: Catalogue) -> AxisConfigTable:

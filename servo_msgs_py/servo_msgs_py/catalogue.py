@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, read_toml
 from servo_msgs_py.units import frac_lsb, to_raw
 
 AXES: Final = 2
@@ -327,12 +327,8 @@ def _packaged() -> Catalogue:
 
 def _read(source: Path) -> Catalogue:
     try:
-        table = tomllib.loads(source.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise CatalogueError(f"{source}: {error}") from error
-    try:
-        return Catalogue.parse(table)
-    except CatalogueError as error:
+        return Catalogue.parse(read_toml(source))
+    except (CatalogueError, TextFileError) as error:
         raise CatalogueError(f"{source}: {error}") from None
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, read_toml
 
 DEFAULT_FILE: Final = Path(__file__).with_name("core.toml")
 
@@ -60,5 +60,7 @@ def _packaged() -> CoreSpeed:
 
 
 def _read(path: Path) -> CoreSpeed:
-    with path.open("rb") as file:
-        return CoreSpeed.parse(tomllib.load(file))
+    try:
+        return CoreSpeed.parse(read_toml(path))
+    except TextFileError as error:
+        raise ValueError(f"{path}: {error}") from None

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, read_toml
 
 from servo_twin.board import Firmware, SimulationError
 from servo_twin.level import Level, chosen_level
@@ -39,12 +39,14 @@ def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
     Raises
     ------
     SimulationError
-        If the file does not exist.
+        If the file does not exist or is no TOML.
     """
     if not path.is_file():
         raise SimulationError(f"no such file: {path}")
-    table: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    return table
+    try:
+        return read_toml(path)
+    except TextFileError as error:
+        raise SimulationError(f"{path}: {error}") from None
 
 
 def as_toml(table: Mapping[str, Any], name: str = "") -> str:

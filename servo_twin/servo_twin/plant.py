@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar, cast, get_type_hints
 
 from servo_msgs_py.catalogue import AXIS_NAMES
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, read_toml
 
 STOP_STIFFNESS_MAX: Final = 0.06
 """Largest stiffness of an end stop, relative to inertia times PWM frequency squared: the oscillation takes 25 periods,
@@ -365,10 +365,9 @@ def _packaged() -> PlantConfig:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlantError(f"{path}: {error}") from error
-    return table
+        return read_toml(path)
+    except TextFileError as error:
+        raise PlantError(f"{path}: {error}") from None
 
 
 def _named(path: Path, table: Mapping[str, Any]) -> PlantConfig:

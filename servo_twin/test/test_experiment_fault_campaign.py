@@ -7,7 +7,7 @@ import random
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import parse_toml, read_toml
 from servo_twin.experiments.campaign_faults import (
     INJECTED_FAULTS,
     NO_FAULT,
@@ -211,8 +211,8 @@ def test_motors_differ_and_are_selected_by_name() -> None:
 
 
 def test_configuration_is_restored_from_its_text() -> None:
-    table = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
-    assert tomllib.loads(as_toml(table)) == table
+    table = read_toml(SERVO_TOML)
+    assert parse_toml(as_toml(table)) == table
 
 
 def test_invalid_configuration_is_refused(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path as File
 from typing import Any
 
+from servo_msgs_py.text_file import TextFileError, parse_json, read_text
+
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.waypoints import Waypoints
 
@@ -43,11 +45,11 @@ def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
     if reader is None:
         raise TrajectoryError(f"{path}: unknown format; use a file whose name ends with .csv or .json")
     try:
-        return reader(path.read_text(encoding="utf-8-sig"), joints)
+        return reader(read_text(path), joints)
     except OSError as error:
         raise TrajectoryError(f"{path}: cannot be read ({error.strerror}); check name and permissions") from None
-    except UnicodeDecodeError:
-        raise TrajectoryError(f"{path}: is not UTF-8 text; save it in this encoding") from None
+    except TextFileError as error:
+        raise TrajectoryError(f"{path}: {error}") from None
     except TrajectoryError as error:
         raise TrajectoryError(f"{path}: {error}", error.code) from None
 
@@ -111,10 +113,7 @@ def _number(line: int, name: str, cell: str) -> float:
 
 
 def _from_json(text: str, known: Sequence[str]) -> Waypoints:
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise TrajectoryError(f"line {error.lineno}: {error.msg} at column {error.colno}; correct the JSON") from None
+    content = parse_json(text)
     if not isinstance(content, dict) or not all(
         isinstance(content.get(key), list) for key in ("joint_names", "points")
     ):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, parse_toml, read_text
 from servo_msgs_py.tuning.checks import check
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.errors import ConfigError
@@ -25,9 +25,10 @@ def load(path: Path, catalogue: Catalogue) -> Configuration:
         If it cannot be read.
     """
     try:
-        return loads(path.read_text(encoding="utf-8"), catalogue)
-    except UnicodeDecodeError as error:
-        raise ConfigError(str(error)) from error
+        text = read_text(path)
+    except TextFileError as error:
+        raise ConfigError(str(error)) from None
+    return loads(text, catalogue)
 
 
 def loads(text: str, catalogue: Catalogue) -> Configuration:
@@ -39,9 +40,9 @@ def loads(text: str, catalogue: Catalogue) -> Configuration:
         If it is not valid TOML or the configuration cannot work.
     """
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(str(error)) from error
+        table = parse_toml(text)
+    except TextFileError as error:
+        raise ConfigError(str(error)) from None
     return parse(table, catalogue)
 
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import TextFileError, read_toml
 
 from servo_twin.diagnosis.signal_monitor import MONITORED
 from servo_twin.diagnosis.signals import ALIASES, CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
@@ -150,11 +150,11 @@ def _packaged(level: Level) -> Thresholds:
 
 def _load(path: Path) -> Thresholds:
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = read_toml(path)
         axes = tuple(_axis(table.pop(axis_name(number))) for number in range(AXES))
         names = [field.name for field in fields(Thresholds) if field.name != "axes"]
         return Thresholds(axes, **{name: _number(name, table[name]) for name in names})
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, TypeError) as error:
+    except (TextFileError, TypeError) as error:
         raise ThresholdsError(f"{path}: {error}") from None
     except KeyError as error:
         raise ThresholdsError(f"{path}: {error.args[0]} is missing; repeat `servo_twin calibrate`") from None

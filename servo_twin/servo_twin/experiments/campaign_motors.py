@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import read_toml
 
 from servo_twin.board import Board, Firmware
 from servo_twin.experiments.rig import fresh_board, level
@@ -22,9 +22,7 @@ from servo_twin.simulation import SimulationError
 OWN: Final = ("axis1", "axis2")
 """Names of the motors of the plant."""
 
-_TABLES: Final[Mapping[str, Mapping[str, Any]]] = tomllib.loads(
-    Path(__file__).with_name("motors.toml").read_text(encoding="utf-8")
-)
+_TABLES: Final[Mapping[str, Mapping[str, Any]]] = read_toml(Path(__file__).with_name("motors.toml"))
 
 OTHERS: Final = tuple(_TABLES)
 """Names of the motors in ``motors.toml``."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES
-from servo_msgs_py.toml import tomllib
+from servo_msgs_py.text_file import parse_toml, read_text, read_toml
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
@@ -117,8 +117,7 @@ def with_cycles(text: str, cycles: float) -> str:
 
 def instructions(core: Path, plant: PlantConfig, seed: int) -> dict[str, dict[str, float]]:
     """Mean instructions by state and handler, from a virtual board with one clock cycle per instruction."""
-    with core.open("rb") as file:
-        numbers = {**tomllib.load(file), "cycles_per_instruction": 1.0}
+    numbers = {**read_toml(core), "cycles_per_instruction": 1.0}
     entry = float(numbers["entry_cycles"])
     result = {}
     with Board(plant, seed=seed, level="registers", core=CoreSpeed.parse(numbers)) as board:
@@ -155,10 +154,10 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    text = args.core.read_text(encoding="utf-8")
+    text = read_text(args.core)
     counts = instructions(args.core, PlantConfig.load(args.plant), args.seed)
     if args.measured is None:
-        each = float(tomllib.loads(text)["cycles_per_instruction"])
+        each = float(parse_toml(text)["cycles_per_instruction"])
         rows = [Row(s, h, count, each * count) for s, handlers in counts.items() for h, count in handlers.items()]
         print(_table(rows, each))
         return 0
@@ -174,9 +173,9 @@ def _run(args: argparse.Namespace) -> int:
 
 def _widths(path: Path) -> dict[str, dict[str, float]]:
     """Read measured widths [s] from a file."""
-    with path.open("rb") as file:
-        states = tomllib.load(file)
-    return {state: {name: 1e-6 * float(width) for name, width in rows.items()} for state, rows in states.items()}
+    return {
+        state: {name: 1e-6 * float(width) for name, width in rows.items()} for state, rows in read_toml(path).items()
+    }
 
 
 def _table(rows: Sequence[Row], cycles: float) -> str:

@@ -1,0 +1,111 @@
+"""Every text file of a user is read in the same manner: UTF-8, also as editors of Windows write it."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bridge.description import description_from_file
+from servo_bridge.trajectory.files import read_waypoints
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.text_file import TextFileError, decoded, parse_json, parse_toml
+from servo_msgs_py.tuning.reading import load
+from servo_twin.core_speed import CoreSpeed
+from servo_twin.diagnosis.thresholds import Thresholds
+from servo_twin.firmware_build import SERVO_TOML, servo_table
+from servo_twin.plant import PlantConfig
+
+from servo_bridge import parameter_file
+
+ROOT = Path(__file__).resolve().parents[1]
+TWIN = ROOT / "servo_twin" / "servo_twin"
+PATH_JSON = '{"joint_names": ["axis1"],\n "points": [{"time_from_start": 0, "positions": [0]}]}\n'
+
+
+def parameters(path: Path) -> object:
+    return parameter_file.load(path, None)
+
+
+def positions(path: Path) -> object:
+    return read_waypoints(path, ["axis1"]).positions.tolist()
+
+
+FILES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "servo.toml": (lambda path: load(path, Catalogue.load()), SERVO_TOML.read_text(encoding="utf-8")),
+    "base.toml": (servo_table, SERVO_TOML.read_text(encoding="utf-8")),
+    "plant.toml": (PlantConfig.load, "[axis1]\nr_s = 0.6\n"),
+    "core.toml": (CoreSpeed.load, (TWIN / "core.toml").read_text(encoding="utf-8")),
+    "thresholds.toml": (Thresholds.load, (TWIN / "diagnosis" / "thresholds.toml").read_text(encoding="utf-8")),
+    "parameters.toml": (parameters, '[parameters]\n"param.host_timeout" = 0.5\n'),
+    "parameters.json": (parameters, '{"parameters":\n {"param.host_timeout": 0.5}}\n'),
+    "path.csv": (positions, "time,axis1\n0,0\n1,2\n"),
+    "path.json": (positions, PATH_JSON),
+    "bridge.yaml": (
+        lambda path: description_from_file(str(path)),
+        "/**:\n  ros__parameters:\n    joints: [a, b]\n",
+    ),
+}
+BAD = {
+    "utf-16": ("utf-16", "UTF-16 .*save it as UTF-8"),
+    "utf-16 without mark": ("utf-16-le", "UTF-16 .*save it as UTF-8"),
+    "latin-1": ("latin-1", r"line 1: the byte 0xfc is not UTF-8; save the file as UTF-8"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_byte_order_mark_and_line_ends_of_windows_are_accepted(name: str, tmp_path: Path) -> None:
+    reader, text = FILES[name]
+    plain, marked = tmp_path / "plain" / name, tmp_path / "marked" / name
+    plain.parent.mkdir()
+    marked.parent.mkdir()
+    plain.write_bytes(text.encode())
+    marked.write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
+    assert reader(marked) == reader(plain)
+
+
+@pytest.mark.parametrize("encoding", BAD)
+@pytest.mark.parametrize("name", FILES)
+def test_other_encodings_are_refused_with_a_remedy(name: str, encoding: str, tmp_path: Path) -> None:
+    reader, text = FILES[name]
+    codec, reason = BAD[encoding]
+    path = tmp_path / name
+    path.write_bytes(("# \u00fc\n" + text).encode(codec))
+    with pytest.raises(Exception, match=reason):
+        reader(path)
+
+
+@given(st.text(st.characters(codec="utf-8", exclude_characters="\r\0")), st.sampled_from(["\n", "\r\n", "\r"]))
+def test_text_is_independent_of_mark_and_line_ends(text: str, end: str) -> None:
+    plain = text.removeprefix("\ufeff")
+    for codec in ("utf-8", "utf-8-sig"):
+        assert decoded(plain.replace("\n", end).encode(codec)) == plain
+
+
+@given(st.binary())
+def test_any_bytes_are_text_or_refused(data: bytes) -> None:
+    for parse in (parse_toml, parse_json):
+        with contextlib.suppress(TextFileError):
+            parse(decoded(data))
+
+
+@pytest.mark.parametrize("parse", [parse_toml, parse_json])
+def test_deep_nesting_is_refused(parse: Callable[[str], object]) -> None:
+    with pytest.raises(TextFileError, match="too many nested brackets"):
+        parse(f"{'a = ' if parse is parse_toml else ''}{'[' * 100_000}")
+
+
+def test_there_is_one_reader_of_toml() -> None:
+    """The build of the extension needs its own: it runs before the packages are installed."""
+    permitted = {"text_file.py", "_core_time.py"}
+    found = {
+        path.name
+        for package in ("servo_msgs_py", "servo_bridge", "servo_twin")
+        for path in (ROOT / package / package).rglob("*.py")
+        if re.search(r"\btoml(i|lib)\b", path.read_text(encoding="utf-8"))
+    }
+    assert found == permitted
