@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
-import math
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.action import ActionServer, CancelResponse
 from servo_msgs_py.convert import to_stamp
+from servo_msgs_py.joints import Joint
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from servo_bridge.command_context import CommandContext
+from servo_bridge.goals import Goals
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.follower import Follower, Plan
-from servo_bridge.trajectory.goal import CANCELED, PREEMPTED, Goal, GoalDefaults, Step
-from servo_bridge.trajectory.merge import merged
-from servo_bridge.trajectory.path import Path, State
-from servo_bridge.trajectory.timed_points import PERIOD
+from servo_bridge.trajectory.goal import PREEMPTED, Goal, GoalDefaults
+from servo_bridge.trajectory.path import State
 from servo_bridge.trajectory.tolerances import Phase, goal_time_from, tolerances_from
-from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_msgs_py import topics
 
 _SOURCE: Final = topics.FOLLOW_JOINT_TRAJECTORY
@@ -56,16 +51,57 @@ class _Server(ActionServer):
         super().notify_execute(goal_handle, execute_callback)
 
 
-@dataclass
-class _Active:
-    """A goal whose result has not been sent."""
+class _Sender:
+    """Sender of one goal: the handle of the action server."""
 
-    handle: Any
-    goal: Goal
-    plan: Plan | None = None  # for `Follower.withdraw` before the path has begun
-    paths: Mapping[str, Path] = field(default_factory=dict)  # by joint, from the follower
-    path: Path | None = None  # merged path of all joints
-    next_feedback: int = 0  # tick
+    def __init__(
+        self,
+        interface: Any,
+        handle: Any,
+        finish: Callable[[Any, Goal], None],
+        joints: Sequence[str],
+        gears: Mapping[str, Joint],
+    ) -> None:
+        self._type = interface
+        self._handle = handle
+        self._finish = finish
+        self._joints, self._gears = list(joints), gears
+        self._next_feedback = 0  # tick
+
+    def cancelling(self) -> bool:
+        return bool(self._handle.is_cancel_requested)
+
+    def begun(self) -> None:
+        pass
+
+    def postponed(self) -> None:
+        pass
+
+    def moving(self, tick: int, stamp_ns: int, desired: State, actual: State) -> None:
+        """Publish feedback if it is due."""
+        if tick < self._next_feedback:
+            return
+        self._next_feedback = tick + _FEEDBACK_PERIODS
+        feedback = self._type.Feedback(joint_names=self._joints)
+        feedback.header.stamp = to_stamp(stamp_ns)
+        feedback.desired, feedback.actual = (self._reported(state) for state in (desired, actual))
+        error = State(
+            desired.position - actual.position,
+            desired.velocity - actual.velocity,
+            desired.acceleration - actual.acceleration,
+            desired.effort,
+        )
+        feedback.error = _point(error)
+        self._handle.publish_feedback(feedback)
+
+    def ended(self, goal: Goal) -> None:
+        self._finish(self._handle, goal)
+
+    def _reported(self, state: State) -> JointTrajectoryPoint:
+        """State as in joint_states."""
+        pairs = zip(self._joints, state.position, strict=True)
+        positions = np.array([self._gears[joint].reported(position) for joint, position in pairs])
+        return _point(replace(state, position=positions))
 
 
 class FollowAction:
@@ -77,32 +113,21 @@ class FollowAction:
         Node and joints.
     interfaces : module
         ``control_msgs.action``.
-    trajectories : TrajectoryTopics
-        Checks trajectories and starts them.
-    follower : Follower
-        Has the paths of the joints.
+    goals : Goals
+        Follows and checks the goals.
     defaults : GoalDefaults
         Default tolerances.
     """
 
-    def __init__(
-        self,
-        context: CommandContext,
-        interfaces: ModuleType,
-        trajectories: TrajectoryTopics,
-        follower: Follower,
-        defaults: GoalDefaults,
-    ) -> None:
+    def __init__(self, context: CommandContext, interfaces: ModuleType, goals: Goals, defaults: GoalDefaults) -> None:
         self._node = context.node
-        self._type: Any = interfaces.FollowJointTrajectory
-        self._joints = list(context.joints)
         self._gears = {joint.name: joint for joint in context.arbiter.joints}
-        self._trajectories = trajectories
-        self._follower = follower
+        self._type: Any = interfaces.FollowJointTrajectory
+        self._goals = goals
         self._defaults = defaults
-        self._active: list[_Active] = []
+        self._running: list[Any] = []  # handles of goals without a result
         self._server = _Server(
-            context.node,
+            self._node,
             self._type,
             _SOURCE,
             lambda _handle: None,  # every goal is ended by `finish`
@@ -110,11 +135,9 @@ class FollowAction:
             cancel_callback=self._cancel,
         )
 
-    # ---- goals
     def _cancel(self, handle: Any) -> CancelResponse:
         """Accept, unless the result is being sent."""
-        known = any(active.handle == handle for active in self._active)
-        return CancelResponse.ACCEPT if known else CancelResponse.REJECT
+        return CancelResponse.ACCEPT if handle in self._running else CancelResponse.REJECT
 
     def _end(self, handle: Any, goal: Goal) -> None:
         def end(handle: Any) -> Any:
@@ -126,66 +149,29 @@ class FollowAction:
                 handle.abort()
             return self._type.Result(error_code=int(goal.outcome.code), error_string=goal.outcome.text)
 
+        if handle in self._running:
+            self._running.remove(handle)
         self._server.finish(handle, end)
 
     def _accept(self, handle: Any) -> None:
         handle.execute()
         request = handle.request
-        names = list(request.trajectory.joint_names)
-        joints = [joint for joint in self._joints if joint in names or not names]
+        joints = self._goals.joints_of(request.trajectory)
         goal = Goal(joints, {}, {}, 0.0)
         try:
-            active = self._begin(handle, joints)
+            owner = _Sender(self._type, handle, self._end, joints, self._gears)
+            self._goals.begin(_SOURCE, request.trajectory, self._goal(request, joints), owner, PREEMPTED)
         except Rejected as error:
             goal.refused(error)
         except Exception as error:  # an exception would end the executor
             self._node.get_logger().error(f"{_SOURCE}: {traceback.format_exc()}")
             goal.failed(f"{_SOURCE}: internal error: {error!r}")
         else:
-            self._active.append(active)
+            self._running.append(handle)
             return
         self._end(handle, goal)
 
-    def _begin(self, handle: Any, joints: Sequence[str]) -> _Active:
-        """Start to follow a goal.
-
-        Raises
-        ------
-        Rejected
-            If the goal is refused.
-        """
-        request = handle.request
-        goal = self._goal(request, joints)
-        if not len(request.trajectory.points):
-            goal.stopping(self._trajectories.stop(_SOURCE, request.trajectory.joint_names, PREEMPTED))
-            return _Active(handle, goal)
-
-        def begun(end: float) -> None:
-            goal.begun(end)
-            paths = self._follower.paths()
-            active.paths = {joint: paths[joint] for joint in goal.joints}
-            active.path = merged(list(active.paths.values()))
-
-        def postponed() -> bool:
-            if goal.ended:
-                return False
-            goal.postponed()
-            active.paths, active.path = {}, None
-            return True
-
-        active = _Active(handle, goal)
-        active.plan = self._trajectories.follow(
-            _SOURCE,
-            request.trajectory,
-            begun=begun,
-            refused=goal.refused,
-            abandoned=goal.abandoned,
-            postponed=postponed,
-            takes_over=PREEMPTED,
-        )
-        return active
-
-    def _goal(self, request: Any, joints: Sequence[str]) -> Goal:
+    def _goal(self, request: Any, joints: list[str]) -> Goal:
         if len(request.multi_dof_trajectory.points) or len(request.multi_dof_trajectory.joint_names):
             raise TrajectoryError(f"{_SOURCE}: multi_dof_trajectory is not supported; leave it empty")
         if len(request.component_path_tolerance) or len(request.component_goal_tolerance):
@@ -195,88 +181,6 @@ class FollowAction:
         path = tolerances_from(request.path_tolerance, joints, self._defaults.path)
         goal = tolerances_from(request.goal_tolerance, joints, self._defaults.goal)
         return Goal(joints, path, goal, goal_time)
-
-    # ---- samples
-    def on_sample(self, tick: int, stamp_ns: int, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Check the goals with a sample of the board.
-
-        Parameters
-        ----------
-        tick : int
-            Extended tick.
-        stamp_ns : int
-            ROS time of the tick [ns].
-        position, velocity : sequence of float
-            Of all joints [rad], [rad/s].
-        """
-        for active in list(self._active):
-            axes = [self._joints.index(joint) for joint in active.goal.joints]
-            actual = _measured([position[axis] for axis in axes], [velocity[axis] for axis in axes])
-            desired = None if active.path is None else active.path.state(tick * PERIOD)
-            if active.handle.is_cancel_requested:
-                active.goal.cancel()
-            moving = active.goal.moving
-            step = active.goal.sample(tick * PERIOD, desired, actual)
-            if step is Step.STOP:
-                self._stop(active.goal)
-            elif step is Step.WITHDRAW and active.plan is not None:
-                self._follower.withdraw(active.plan)
-            if active.goal.ended:
-                self._active.remove(active)
-                self._end(active.handle, active.goal)
-                if active.goal.outcome.phase is Phase.ABORTED:
-                    self._stop_remaining(active)
-            elif moving and desired is not None and tick >= active.next_feedback:
-                active.next_feedback = tick + _FEEDBACK_PERIODS
-                active.handle.publish_feedback(self._feedback(active, stamp_ns, desired, actual))
-
-    def link_lost(self, reason: str) -> None:
-        """End all goals, because there are no more samples."""
-        active, self._active = self._active, []
-        for each in active:
-            each.goal.failed(reason)
-            self._end(each.handle, each.goal)
-
-    def _stop(self, goal: Goal) -> None:
-        """Stop the joints of a cancelled goal."""
-        try:
-            end = self._trajectories.stop(_SOURCE, goal.joints, CANCELED)
-        except Rejected as error:
-            goal.failed(str(error))
-        else:
-            goal.stopping(end)
-
-    def _stop_remaining(self, active: _Active) -> None:
-        """Stop the joints that still follow the path of an aborted goal."""
-        paths = self._follower.paths()
-        joints = [joint for joint, path in active.paths.items() if paths.get(joint) is path]
-        if joints:
-            with contextlib.suppress(Rejected):  # the board has stopped them already
-                self._trajectories.stop(_SOURCE, joints, active.goal.outcome.text)
-
-    def _feedback(self, active: _Active, stamp_ns: int, desired: State, actual: State) -> Any:
-        feedback = self._type.Feedback(joint_names=active.goal.joints)
-        feedback.header.stamp = to_stamp(stamp_ns)
-        feedback.desired, feedback.actual = (
-            _point(replace(state, position=self._reported(active.goal.joints, state.position)))
-            for state in (desired, actual)
-        )
-        error = State(
-            desired.position - actual.position,
-            desired.velocity - actual.velocity,
-            desired.acceleration - actual.acceleration,
-            desired.effort,
-        )
-        feedback.error = _point(error)
-        return feedback
-
-    def _reported(self, joints: Sequence[str], positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([self._gears[joint].reported(x) for joint, x in zip(joints, positions, strict=True)])
-
-
-def _measured(position: Sequence[float], velocity: Sequence[float]) -> State:
-    unknown = np.full(len(position), math.nan)
-    return State(np.array(position), np.array(velocity), unknown, unknown)
 
 
 def _point(state: State) -> JointTrajectoryPoint:

@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable, Collection, Mapping
 
 from sensor_msgs.msg import JointState
+from servo_msgs_py.answers import Answer, Phase
 from servo_msgs_py.runtime.qos import command_qos
 
+from servo_bridge.answers import Answers
 from servo_bridge.command_context import CommandContext
 from servo_bridge.set_points import REPEAT_PAUSE, NotReady, Rejected, RepeatedSetPoints, from_joint_command, requests_of
 from servo_bridge.trajectory.streamer import Streamer, require_within
@@ -25,6 +27,8 @@ class JointCommands:
         Checks and counts the messages.
     streamer : Streamer
         Receives positions with a velocity or an effort.
+    answers : Answers
+        Publisher of the answers to messages with a ticket.
     interfaces : mapping of str to collection of str, optional
         Arrays with each joint, if the sender omits joints in some arrays.
     offset_ns : callable
@@ -37,6 +41,7 @@ class JointCommands:
         self,
         context: CommandContext,
         streamer: Streamer,
+        answers: Answers,
         *,
         interfaces: Mapping[str, Collection[str]] | None,
         offset_ns: Callable[[], float | None],
@@ -44,6 +49,7 @@ class JointCommands:
     ) -> None:
         self._context = context
         self._streamer = streamer
+        self._answers = answers
         self._interfaces = interfaces
         self._offset_ns = offset_ns
         self._wall_ns = wall_ns
@@ -61,9 +67,11 @@ class JointCommands:
             moves = self._request(message, time.monotonic_ns())
         except Rejected as error:
             self._context.reject(_SOURCE, error)
+            self._answers.publish(Answer(message.header.frame_id, _SOURCE, Phase.REFUSED, str(error)))
         else:
             if moves:
                 self._context.accept()
+                self._answers.publish(Answer(message.header.frame_id, _SOURCE, Phase.ACCEPTED))
 
     def _request(self, message: JointState, now_ns: int) -> bool:
         """Execute a message; returns False if it has no set-point."""

@@ -29,6 +29,7 @@ from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 from std_srvs.srv import SetBool, Trigger
 
+from servo_bridge.answers import Answers
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_context import BoardContext
 from servo_bridge.board_link import BoardLink, LinkFactory
@@ -40,6 +41,7 @@ from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
 from servo_bridge.freemaster.client import password_of_environment
+from servo_bridge.goals import Goals
 from servo_bridge.health import Health, Winding
 from servo_bridge.homing import METHODS, Homing, with_home_states
 from servo_bridge.inbox import Inbox
@@ -49,6 +51,7 @@ from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import Outcome, error_of
 from servo_bridge.parameter_sync import ParameterSync
 from servo_bridge.parameters import ParameterError, Settings
+from servo_bridge.path_commands import PathCommands
 from servo_bridge.publications import Publications
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_point_topics import SetPointTopics
@@ -149,6 +152,11 @@ class Supervisor:
         self._trajectories = TrajectoryTopics(
             self._commands, self._follower, origin_ns=self._origin_ns, info=self._info
         )
+        self._answers = Answers(node)
+        self._goals = Goals(self._joints, self._trajectories, self._follower)
+        self._path_commands = PathCommands(
+            self._commands, self._trajectories, self._goals, self._answers, settings.goal_defaults, self._warn
+        )
         self._action = self._offer_action()
         self._streamer = Streamer(
             settings.joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
@@ -156,6 +164,7 @@ class Supervisor:
         self._joint_commands = JointCommands(
             self._commands,
             self._streamer,
+            self._answers,
             interfaces=settings.command_interfaces,
             offset_ns=lambda: self._board_clock.offset_ns,
             wall_ns=self._wall.wall_ns,
@@ -238,8 +247,7 @@ class Supervisor:
                 "with ros-jazzy-control-msgs)"
             )
             return None
-        settings = self._settings
-        return FollowAction(self._commands, interfaces, self._trajectories, self._follower, settings.goal_defaults)
+        return FollowAction(self._commands, interfaces, self._goals, self._settings.goal_defaults)
 
     def _start_timers(self) -> None:
         node, steady = self._node, Clock(clock_type=ClockType.STEADY_TIME)
@@ -360,8 +368,7 @@ class Supervisor:
             self._parameter_sync.link_lost()
             self._variables.link_lost()
             self._arbiter.link_lost(status.reason)
-            if self._action is not None:
-                self._action.link_lost(f"the link to the board was lost: {status.reason}")
+            self._goals.link_lost(f"the link to the board was lost: {status.reason}")
             self._dispatcher.close(status.reason)
             self._motion.link_lost(status.reason)
             self._homing.link_lost(status.reason)
@@ -391,14 +398,13 @@ class Supervisor:
         self._arbiter.update_axes(snapshot.axes)
         self._follower.on_sample(snapshot.tick, self._axis_reports(snapshot))
         self._joint_commands.advance()
-        if self._action is not None:
-            axes = [(joint, axis_name(axis)) for axis, joint in enumerate(self._settings.joints)]
-            self._action.on_sample(
-                snapshot.tick,
-                stamp,
-                [joint.position(snapshot.values[f"{axis}.position"]) for joint, axis in axes],
-                [joint.velocity(snapshot.values[f"{axis}.speed"]) for joint, axis in axes],
-            )
+        axes = [(joint, axis_name(axis)) for axis, joint in enumerate(self._settings.joints)]
+        self._goals.on_sample(
+            snapshot.tick,
+            stamp,
+            [joint.position(snapshot.values[f"{axis}.position"]) for joint, axis in axes],
+            [joint.velocity(snapshot.values[f"{axis}.speed"]) for joint, axis in axes],
+        )
         applied = self._dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
         self._motion.on_snapshot(snapshot)
         parameters = self._parameter_sync.values
@@ -532,6 +538,7 @@ class Supervisor:
             self._warn("the board did not confirm the disable command; after param.host_timeout it stops the axes")
         self._snapshot = None
         self._arbiter.link_lost(reason)
+        self._goals.link_lost(reason)
         self._dispatcher.close(reason)
         self._motion.link_lost(reason)
         self._homing.link_lost(reason)

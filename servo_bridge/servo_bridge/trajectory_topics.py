@@ -1,26 +1,24 @@
-"""The topic of trajectories: checks, start and stop."""
+"""Trajectories: checks, start and stop."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from servo_msgs_py.runtime.qos import command_qos
 from trajectory_msgs.msg import JointTrajectory
 
 from servo_bridge.command_context import CommandContext
-from servo_bridge.set_points import NotReady, Rejected
+from servo_bridge.set_points import NotReady
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.from_message import from_message
 from servo_bridge.trajectory.path import Path
-from servo_msgs_py import topics
 
 _STOP_DELAY = 0.1
 """Time until a stop takes effect on the board and the shaft has stopped [s]."""
 
 
 class TrajectoryTopics:
-    """Subscription of trajectories.
+    """Starts and stops trajectories.
 
     Parameters
     ----------
@@ -46,17 +44,6 @@ class TrajectoryTopics:
         self._follower = follower
         self._origin_ns = origin_ns
         self._info = info
-        context.node.create_subscription(JointTrajectory, topics.JOINT_TRAJECTORY, self._on_trajectory, command_qos())
-
-    def _on_trajectory(self, message: JointTrajectory) -> None:
-        source = topics.JOINT_TRAJECTORY
-        try:
-            if not len(message.points):
-                self.stop(source, message.joint_names)
-                return
-            self.follow(source, message, refused=lambda error: self._context.reject(source, error))
-        except Rejected as error:
-            self._context.reject(source, error)
 
     def stop(self, source: str, names: Sequence[str], reason: str = "") -> float:
         """Stop joints with the acceleration limit and hold.

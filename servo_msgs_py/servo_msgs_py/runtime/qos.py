@@ -18,3 +18,8 @@ def command_qos() -> QoSProfile:
 def latched_qos() -> QoSProfile:
     """Transient local, depth 1: a new subscriber receives the last message."""
     return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def answers_qos() -> QoSProfile:
+    """Transient local, depth 20: a client that is discovered late receives the answers to its commands."""
+    return QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
