@@ -59,6 +59,25 @@ static bool in_reach(const ranges_memory_t *in, uint16_t axis, uint32_t value)
     return value - (uint32_t)in->snapshot->axis[axis].position + reach <= 2U * reach;
 }
 
+/* Features that the configuration of an axis has no constants for. */
+static uint32_t impossible_features(const axis_t *axis)
+{
+    return (axis_observable(axis) ? 0U : FEATURE_ANGLE_CHECK) |
+           (axis_has_speed_observer(axis) ? 0U : FEATURE_SPEED_OBSERVER);
+}
+
+/* Value of an element of a variable beyond its range, in the present state of the board. */
+static bool is_possible(const ranges_memory_t *in, uint16_t variable, uint16_t axis, uint32_t value)
+{
+    if (variable == in->positions) {
+        return in_reach(in, axis, value);
+    }
+    if (variable == in->features) {
+        return (value & impossible_features(&in->axes[axis])) == 0U;
+    }
+    return variable != in->feedbacks || value != FEEDBACK_KIND_OBSERVER || axis_observable(&in->axes[axis]);
+}
+
 static bool elements_accept(const ranges_memory_t *in, const variable_range_t *range, const host_write_t *write)
 {
     for (uint16_t i = 0; i < range->count; i++) {
@@ -67,10 +86,7 @@ static bool elements_accept(const ranges_memory_t *in, const variable_range_t *r
             continue; /* not part of the write */
         }
         const uint32_t value = value_after(in, write, offset, range->size);
-        if (!ranges_accept_value(range, value)) {
-            return false;
-        }
-        if (range->offset == in->positions && !in_reach(in, i, value)) {
+        if (!ranges_accept_value(range, value) || !is_possible(in, range->offset, i, value)) {
             return false;
         }
     }

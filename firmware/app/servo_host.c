@@ -61,7 +61,10 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     const ranges_memory_t memory = {
         .memory = (const uint8_t *)servo,
         .positions = (uint16_t)offsetof(servo_t, command.position),
+        .features = (uint16_t)offsetof(servo_t, parameter.features),
+        .feedbacks = (uint16_t)offsetof(servo_t, parameter.feedback),
         .snapshot = &servo->snapshot,
+        .axes = servo->axis,
     };
     const bool accepted = ranges_accept(&memory, offset, data, mask, size);
     if (!accepted) {

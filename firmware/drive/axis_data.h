@@ -198,4 +198,7 @@ static inline void axis_report(axis_t *axis, uint16_t limit)
 /* True if the configuration has observer constants for this motor. */
 static inline bool axis_observable(const axis_t *axis) { return axis->config->observer.drive != 0; }
 
+/* True if it has constants of the speed observer. */
+static inline bool axis_has_speed_observer(const axis_t *axis) { return axis->config->speed_observer.l_position != 0; }
+
 #endif

@@ -34,7 +34,7 @@ static frac32_t speed_feedback(axis_t *axis)
     const speed_observer_config_t *config = &axis->config->speed_observer;
     const int32_t position = encoder->position.position;
     const bool observed = encoder->observes;
-    encoder->observes = (axis->features & FEATURE_SPEED_OBSERVER) != 0U;
+    encoder->observes = (axis->features & FEATURE_SPEED_OBSERVER) != 0U && axis_has_speed_observer(axis);
     if (!encoder->observes) {
         return encoder->speed.speed;
     }

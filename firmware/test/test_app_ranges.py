@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from servo_bench import Bench
 from servo_msgs_py.catalogue import Catalogue, Variable
+from servo_msgs_py.value_text import parse_values
 
 WRITEMEM = 0x23
 OUT_OF_RANGE = 0x97
@@ -148,6 +149,30 @@ def test_after_any_writes_every_element_is_inside_its_range(core: Core, data: st
         assert status == (0 if fits else OUT_OF_RANGE)
         assert stored(bench, variable) == (expected if fits else before)
         taken += fits
+
+
+@ACCESS_PATHS
+@pytest.mark.parametrize(
+    ("group", "member", "variable", "value"),
+    [
+        ("observer", "drive", "param.features", "ANGLE_CHECK"),
+        ("observer", "drive", "param.feedback", "OBSERVER"),
+        ("speed_observer", "l_position", "param.features", "SPEED_OBSERVER"),
+    ],
+)
+def test_what_the_configuration_has_no_constants_for_is_refused(
+    bench: Bench, group: str, member: str, variable: str, value: str, write: WriteFunction
+) -> None:
+    servo, entry = bench.servo, WRITABLE[variable]
+    config = bench.core.ffi.new("axis_config_t *", servo.axis[1].config[0])
+    setattr(getattr(config, group), member, 0)
+    servo.axis[1].config = config
+    (number,) = parse_values(entry, value, CATALOGUE)
+    data = encoded(entry, entry.to_raw(number))
+    assert write(bench, bench.address(variable, 1), data) == OUT_OF_RANGE
+    assert write(bench, bench.address(variable, 0), data) == 0, "the other axis has them"
+    others = encoded(entry, 1 << 3 if variable == "param.features" else 0)
+    assert write(bench, bench.address(variable, 1), others) == 0
 
 
 # ---- position set-points --------------------------------------------------------------------------------------------

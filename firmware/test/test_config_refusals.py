@@ -8,9 +8,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from servo_msgs_py.tuning.assessment import assess
 from servo_msgs_py.tuning.braking import brake_constants
 from servo_msgs_py.tuning.constants import time_outs
 from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.findings import findings
+from servo_msgs_py.tuning.optional import PARTS
 from servo_msgs_py.tuning.passwords import password_constants
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
@@ -170,11 +173,6 @@ TOGETHER = [
         "above the current limit of 1 A (limits.current); write 1 A or less",
         axis1__limits__current=1.0,
     ),
-    case(
-        "axis1.start_up.swing_current (in [defaults.start_up]) = 0.5",
-        "4.02 A, more than limits.current",
-        axis1__start_up__current_final=0.9,
-    ),
     case("axis1.limits.speed = 600", "0.1 .. 419 rad/s"),
     case("axis1.limits.acceleration = 60000", "50000"),
     case("axis1.limits.position = 2e+06", "param.position_max"),
@@ -191,7 +189,6 @@ TOGETHER = [
     case("axis1.friction.coulomb = 0.2", "gives 0.185 N m"),
     case("axis1.motor.rotor_inertia = 2e-05", "8e-06 kg m^2"),
     # consistency of the limits
-    case("axis1.limits.over_speed = 314", "314 rad/s"),
     case("axis1.timing.stop_speed = 314", "speed limit"),
     case("board.under_voltage = 25", "nominal_voltage = 24 V"),
     case("board.nominal_voltage = 33", "over_voltage = 33 V"),
@@ -206,40 +203,16 @@ TOGETHER = [
     case("axis1.control.position_gain = 600", "speed loop"),
     case("axis1.control.speed_bandwidth = 1000", "current_bandwidth = 1000 Hz"),
     case("axis1.control.current_bandwidth = 8000", "16000 Hz"),
-    case("axis1.control.observer_bandwidth = 19", "not within 19.1 .. 1000 Hz"),
-    case("axis1.control.observer_bandwidth = 1000", "not within"),
     # rotor search
     case("axis1.rotor_search.interval = 60", "torque"),
     case("axis1.rotor_search.interval = 0.1", "0.18"),
     case("axis1.rotor_search.move_counts = 250", "runs away"),
     case("axis1.rotor_search.move_counts = 2", "dither"),
     case("axis1.rotor_search.time_max = 0.5", "8 vectors"),
-    # without an encoder: K1, K2 and the poles
-    case("axis1.observer.k_1 = 100", "not below 0", **K),
+    # without an encoder
     case("axis1.observer.k_1 = 0", "too small", **K),
-    case("axis1.observer.k_2 = -5000", "not above 0", **K),
-    case("axis1.observer.k_1 = -17000", "overshoots the measured current", **K),
-    case("axis1.observer.k_2 = 900000", "outside the unit circle", **K),
-    case("axis1.observer.k_2 = 50", "it must be below", **K),
     case("axis1.observer.k_1 = -5000", "observer.k_2 is missing"),
     case("axis1.observer.k_1 = -5200", "400 Hz specifies the same", **K, axis1__observer__bandwidth=400.0),
-    case("axis1.observer.bandwidth = 2000", "sampling rate of 16000 Hz"),
-    case("axis1.observer.bandwidth = 100", "105 Hz at limits.speed"),
-    case("axis1.observer.damping = 10", "it must be below", axis1__motor__r_s=0.1),
-    case("axis1.observer.bandwidth (in", "natural frequency of the PLL", axis1__observer__pll_i=9e8),
-    case("axis1.observer.pll_i = 1.4e+07", "its sampling", axis1__observer__pll_damping=9.0),
-    case("axis1.observer.pll_i = 10000", "lag the start-up ramp"),
-    case("axis1.observer.pll_load = 1", "oscillates"),
-    case("axis1.reliability.variance_threshold", "twice its mean", axis1__reliability__variance_threshold=0.5),
-    # start-up
-    case("axis1.start_up.speed_time = 0.008", "9812 rad/s^2"),
-    case("axis1.start_up.swings = 0.2", "of the start-up current"),
-    case("axis1.start_up.speed_time = 0.25", "correct motor.inertia", **HEAVY),
-    case("axis1.start_up.current_first (in", "0.0693 N m", axis1__friction__coulomb=0.08),
-    case("axis1.start_up.minimum_speed = 0.3", "94.2 rad/s"),
-    case("axis1.start_up.mean_max = 1", "not above 1"),
-    case("axis1.start_up.mean_min = 1", "not below 1"),
-    case("axis1.start_up.wait_max (in [defaults.start_up])", "64 speeds", axis1__reliability__period=60),
     # gains and scales out of range
     case("axis1: speed controller Kp = 2", "does not fit gain_t", axis1__motor__inertia=4e-4),
     case("axis1: current controller q Kp = 214.", "does not fit gain_t", axis1__motor__l_q=0.1),
@@ -259,7 +232,6 @@ TOGETHER = [
     case("axis1: omega_n Ts", "E40", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
     case("board.timer_clock: speed per count and clock", "32 bits", board__timer_clock=1.1e7),
     case("axis1.rotor_search.ramp_time: current", "frac32_t", axis1__rotor_search__ramp_time=1e-4),
-    case("axis1.friction.smooth", "raise it", axis1__friction__smooth=0.01),
     # times
     case("axis1.timing.stall_max = 32.7675", "65534"),
     case("axis1.timing.stall_max = 40", "0.0005 .. 32.767"),
@@ -304,6 +276,69 @@ def test_inconsistent_numbers_are_refused(beginning: str, reason: str, changes: 
 def test_axis_2_is_checked_like_axis_1(changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=r"^axis2"):
         compute(**{path.replace("axis1", "axis2"): value for path, value in changes.items()})
+
+
+OPTIONAL: dict[str, list[tuple[str, str, dict[str, object]]]] = {
+    "axis1__feedback": [
+        case(
+            "axis1.start_up.swing_current (in [defaults.start_up]) = 0.5",
+            "4.02 A, more than limits.current",
+            axis1__start_up__current_final=0.9,
+        ),
+        case("axis1.observer.k_1 = 100", "not below 0", **K),
+        case("axis1.observer.k_2 = -5000", "not above 0", **K),
+        case("axis1.observer.k_1 = -17000", "overshoots the measured current", **K),
+        case("axis1.observer.k_2 = 900000", "outside the unit circle", **K),
+        case("axis1.observer.k_2 = 50", "it must be below", **K),
+        case("axis1.observer.bandwidth = 2000", "sampling rate of 16000 Hz"),
+        case("axis1.observer.bandwidth = 100", "105 Hz at limits.speed"),
+        case("axis1.observer.damping = 10", "it must be below", axis1__motor__r_s=0.1),
+        case("axis1.observer.bandwidth (in", "natural frequency of the PLL", axis1__observer__pll_i=9e8),
+        case("axis1.observer.pll_i = 1.4e+07", "its sampling", axis1__observer__pll_damping=9.0),
+        case("axis1.observer.pll_i = 10000", "lag the start-up ramp"),
+        case("axis1.observer.pll_load = 1", "oscillates"),
+        case("axis1.reliability.variance_threshold", "twice its mean", axis1__reliability__variance_threshold=0.5),
+        case("axis1.start_up.speed_time = 0.008", "9812 rad/s^2"),
+        case("axis1.start_up.swings = 0.2", "of the start-up current"),
+        case("axis1.start_up.speed_time = 0.25", "correct motor.inertia", **HEAVY),
+        case("axis1.start_up.current_first (in", "0.0693 N m", axis1__friction__coulomb=0.08),
+        case("axis1.start_up.minimum_speed = 0.3", "94.2 rad/s"),
+        case("axis1.start_up.mean_max = 1", "not above 1"),
+        case("axis1.start_up.mean_min = 1", "not below 1"),
+        case("axis1.start_up.wait_max (in [defaults.start_up])", "64 speeds", axis1__reliability__period=60),
+    ],
+    "axis1__features__speed_observer": [
+        case("axis1.control.observer_bandwidth = 19", "not within 19.1 .. 1000 Hz"),
+        case("axis1.control.observer_bandwidth = 1000", "not within"),
+    ],
+    "axis1__features__friction": [
+        case("axis1.friction.smooth", "raise it", axis1__friction__smooth=0.01),
+    ],
+    "axis1__features__over_speed": [
+        case("axis1.limits.over_speed = 314", "314 rad/s"),
+    ],
+}
+"""Refusals of an axis that uses a part, by the entry that selects the part."""
+
+USE: dict[str, object] = {switch: "observer" if switch.endswith("feedback") else True for switch in OPTIONAL}
+OPTIONAL_CASES = [(switch, *row) for switch, rows in OPTIONAL.items() for row in rows]
+
+
+@pytest.mark.parametrize(("switch", "beginning", "reason", "changes"), OPTIONAL_CASES)
+def test_only_what_an_axis_uses_is_refused(
+    switch: str, beginning: str, reason: str, changes: dict[str, object]
+) -> None:
+    """Else the members are off, and a warning has the same text."""
+    with pytest.raises(ConfigError) as refusal:
+        compute(**{switch: USE[switch], **changes})
+    assert str(refusal.value).startswith(beginning)
+    assert reason in str(refusal.value)
+    whole = configuration(**changes)
+    design = tuned(whole.axes[0], whole)
+    warnings = findings(design, assess(design))
+    assert any(beginning in warning and reason in warning for warning in warnings), warnings
+    for name in design.unusable:
+        assert {field: design.constants[field] for field in PARTS[name].off} == PARTS[name].off
 
 
 # ---- stop categories ------------------------------------------------------------------------------------------------

@@ -104,14 +104,24 @@ class AxisConfigTable:
         for path in block:
             if path not in self.members:
                 raise AxisConfigError(f"{path} is not a member of a configuration block")
-        for path, member in self.members.items():
+        for path in self.members:
             if path not in block:
                 raise AxisConfigError(f"{path} is missing")
-            raw = block[path]
-            if not member.accepts(raw):
+        self.check_part(block)
+
+    def check_part(self, part: Mapping[str, int]) -> None:
+        """Check that the board accepts these members.
+
+        Raises
+        ------
+        AxisConfigError
+            If a member is out of range; the message contains the first one.
+        """
+        for path, member in self.members.items():
+            if path in part and not member.accepts(part[path]):
                 low, high = (f"{member.value(bound):g}" for bound in (member.minimum, member.maximum))
                 allowed = f"bits of {member.maximum:#x}" if member.bits else f"{low} .. {high} {member.unit}".rstrip()
-                raise AxisConfigError(f"{path} = {member.text(raw)}: allowed: {allowed}")
+                raise AxisConfigError(f"{path} = {member.text(part[path])}: allowed: {allowed}")
 
     def words(self, block: Mapping[str, int]) -> list[int]:
         """Raw numbers in the order of the table.

@@ -42,4 +42,9 @@ def refusal_text(catalogue: Catalogue, variable: Variable, raw: Sequence[int], f
             f"{name}: {values} {variable.unit} is more than {reach:g} {variable.unit} away from the shaft; "
             "move in steps"
         )
+    if variable.name in ("param.features", "param.feedback"):
+        return (
+            f"{name}: the configuration in the board has no values for it, because they were not possible or not "
+            "accurate; correct the entry in the warning of `servo-tool tune` and send the configuration again"
+        )
     return f"{name}: the board refuses {values} {variable.unit}".rstrip()

@@ -3,8 +3,8 @@
 `reading` parses ``servo.toml`` into a `configuration`: `schema` has the range of each number, `checks` the relations
 between numbers. `gains` computes gains in SI units from motor data and bandwidths, `constants` converts them to
 integers in the `formats` of the firmware (`braking`, `stops`, `temperature`, `winding`, `field_weakening`, `passwords`:
-of one group of the file; `sensorless`: observer, PLL and start-up), `block` arranges them as a configuration block,
-`source` writes them as C, and `restore` computes a file from a block. `loops` has the discrete models of the control
+of one group of the file; `sensorless`: observer, PLL and start-up; `optional`: what an axis need not use), `block`
+arranges them as a configuration block, `source` writes them as C, and `restore` computes a file from a block. `loops` has the discrete models of the control
 loops with these integers and one of the `sensors`; `tuned` refuses unstable loops, `assessment` computes figures,
 `findings` returns warnings, `report` and `picture` show the results. `command` is the command line.
 """

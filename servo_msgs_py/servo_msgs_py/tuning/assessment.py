@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from servo_msgs_py.tuning.linear import Margins, Pole, System, Tracking, poles, spectral_radius
 from servo_msgs_py.tuning.loops import In, Out
+from servo_msgs_py.tuning.optional import SPEED_OBSERVER
 from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures, sensorless_figures
 from servo_msgs_py.tuning.sensors import edge_delay
 from servo_msgs_py.tuning.tuned import Tuned
@@ -119,7 +120,7 @@ def assess(design: Tuned) -> Assessment:
         arrival=Arrival(bare, *shaped_arrival(design)),
         load_step=_load_step(design),
         reach=_reach(design),
-        inertias=tuple(_with_inertia(design, factor, observed) for observed in (False, True) for factor in INERTIAS),
+        inertias=tuple(_with_inertia(design, factor, observed) for observed in _sensors(design) for factor in INERTIAS),
         sensorless=sensorless_figures(design),
     )
 
@@ -130,8 +131,13 @@ def _loops(design: Tuned) -> Iterator[Loop]:
         wanted = design.axis("control.current_bandwidth")
         closed = loop.closed
         yield Loop(f"current {which}", True, wanted, loop.margins(), closed.tracking(), poles(closed.a, loop.period))
-    for observed in (False, True):
+    for observed in _sensors(design):
         yield from _shaft_loops(design, observed)
+
+
+def _sensors(design: Tuned) -> Sequence[bool]:
+    """Whether the speed comes from the speed observer: the cases that are possible."""
+    return (False,) if SPEED_OBSERVER in design.unusable else (False, True)
 
 
 def _shaft_loops(design: Tuned, observed: bool) -> Iterator[Loop]:

@@ -46,19 +46,25 @@ def block_of(constants: AxisConstants, name: str) -> dict[str, int]:
     ConfigError
         If a board would refuse a member.
     """
+    table, found = AxisConfigTable.load(), members_of(constants, name)
+    block = {path: found[path] for path in table.members if path in found}
+    table.check(block)
+    return block
+
+
+def members_of(constants: AxisConstants, name: str) -> dict[str, int]:
+    """Return the members of a block that some fields give; arguments and refusals as in `block_of`."""
     found: dict[str, int] = {}
     for path, value in constants.items():
         if isinstance(value, PiRaw):
             found |= {f"{path}.{gain}": raw for gain, raw in value._asdict().items()}
         else:
             found[path] = _raw(value)
-    table = AxisConfigTable.load()
-    block = {path: found[path] for path in table.members if path in found}
     try:
-        table.check(block)
+        AxisConfigTable.load().check_part(found)
     except AxisConfigError as error:
         raise ConfigError(f"{name}: {error}; correct the entries that it depends on") from None
-    return block
+    return found
 
 
 def constants_of(block: Mapping[str, int], like: AxisConstants) -> AxisConstants:

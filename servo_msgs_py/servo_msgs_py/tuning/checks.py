@@ -8,7 +8,7 @@ import math
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.field_weakening import idle_speed
-from servo_msgs_py.tuning.sensorless_checks import check_sensorless
+from servo_msgs_py.tuning.sensorless_checks import check_observer_entries
 from servo_msgs_py.tuning.winding import check_winding
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
@@ -33,7 +33,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _search(axis)
         _stops(axis, configuration.scales)
         check_winding(axis)
-        check_sensorless(axis, board)
+        check_observer_entries(axis)
         _home(axis)
 
 
@@ -82,7 +82,7 @@ def _axis(axis: Axis) -> None:
         )
     if axis("control.anti_windup") >= 1.0:
         raise axis.refused("control.anti_windup", "Kc of DRM E35 lies between 0 and 1", "write 0.5")
-    if axis("limits.over_speed") <= axis("limits.speed"):
+    if axis.features["over_speed"] and axis("limits.over_speed") <= axis("limits.speed"):
         reason = f"not above the largest speed set-point, {axis('limits.speed'):g} rad/s (limits.speed)"
         raise axis.refused("limits.over_speed", reason, "write a higher speed")
     if axis("timing.stop_speed") >= axis("limits.speed"):
@@ -120,10 +120,6 @@ def _order(axis: Axis, board: Board) -> None:
     if 2.0 * axis("control.current_bandwidth") >= board("pwm_frequency"):
         reason = f"too high for the sampling rate of {board('pwm_frequency'):g} Hz"
         raise axis.refused("control.current_bandwidth", reason, "write a tenth of it or less")
-    minimum, maximum = axis("control.position_gain") / math.pi, 0.5 / board.tick
-    if not minimum <= axis("control.observer_bandwidth") < maximum:
-        reason = f"not within {minimum:.4g} .. {maximum:.4g} Hz (twice the position loop .. half the slow loop rate)"
-        raise axis.refused("control.observer_bandwidth", reason, "write one or two times control.speed_bandwidth")
 
 
 def _search(axis: Axis) -> None:

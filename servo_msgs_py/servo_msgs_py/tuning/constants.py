@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from servo_msgs_py.tuning.braking import pin_constants, stop_constants
-from servo_msgs_py.tuning.configuration import Axis, Board, Configuration
+from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configuration
 from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
 from servo_msgs_py.tuning.field_weakening import field_weakening_constants
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
@@ -34,7 +34,7 @@ _SLOWER: Final = "lower control.speed_bandwidth, or correct motor.inertia or mot
 
 
 def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> AxisConstants:
-    """Compute every field of one ``axis_config_t`` except those of the sensorless part.
+    """Compute every field of one ``axis_config_t`` except those of the optional parts.
 
     Raises
     ------
@@ -45,9 +45,8 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
     return {
         **_current_loop(to, gains),
         **_sensing(to),
-        **_speed_observer(to),
         **_motion(to, gains),
-        **_feed_forward(to),
+        **_acceleration_forward(to),
         **_limits(to),
         **_supervision(to),
         **_monitor_constants(to),
@@ -91,14 +90,18 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
 def _sensing(to: Converter) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
     p, counts = axis("motor.pole_pairs"), axis.counts
+    steps = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
     # the firmware multiplies the ratio by up to half a turn of counts, in 32 bits
     ratio = Format("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
     per_ratio = board("timer_clock") * 2.0 * math.pi / counts / s.speed
     search = "rotor_search"
     return {
+        "feedback": FEEDBACKS.index(axis.feedback),
         "encoder.counts": to.at(UINT16, "encoder.lines", 4.0),
         "encoder.pole_pairs": to.at(UINT16, "motor.pole_pairs", 1.0),
         "encoder.angle_per_count": to.of(ANGLE32, "angle per count", 1.0 / counts, _LINES),
+        "speed_observer.speed_per_step": to.of(RECIPROCAL, "speed per step", 1.0 / steps, _LINES),
+        "speed_observer.step_per_speed": to.of(INT32_Q16, "step per speed", steps, _LINES),
         "mt_speed.speed_per_ratio": ratio.raw("board.timer_clock: speed per count and clock", per_ratio, "lower it"),
         f"{search}.current_step": FRAC32.raw(
             axis.entry("rotor_search.ramp_time") + ": current per slow tick",
@@ -156,17 +159,25 @@ def _follow(to: Converter) -> dict[str, Field]:
     }
 
 
-def _speed_observer(to: Converter) -> dict[str, Field]:
-    """Gains of a fading-memory filter: the three poles of the observer error are equal."""
+def speed_observer_constants(to: Converter) -> dict[str, Field]:
+    """Gains of a fading-memory filter: the three poles of the observer error are equal.
+
+    Raises
+    ------
+    ConfigError
+        If the bandwidth is out of range, or a value does not fit its format.
+    """
     axis, tick, s = to.axis, to.board.tick, to.s
+    minimum, maximum = axis("control.position_gain") / math.pi, 0.5 / tick
+    if not minimum <= axis("control.observer_bandwidth") < maximum:
+        reason = f"not within {minimum:.4g} .. {maximum:.4g} Hz (twice the position loop .. half the slow loop rate)"
+        raise axis.refused("control.observer_bandwidth", reason, "write one or two times control.speed_bandwidth")
     per_rad = axis.counts / (2.0 * math.pi)
     torque = axis.torque_constant * s.i / axis("motor.inertia") * tick**2 * per_rad
     p = math.exp(-2.0 * math.pi * axis("control.observer_bandwidth") * tick)
     slower = "lower control.observer_bandwidth"
     return {
         "speed_observer.acceleration_per_current": to.of(OBSERVER, "acceleration of the observer", torque, _HOLD),
-        "speed_observer.speed_per_step": to.of(RECIPROCAL, "speed per step", 1.0 / (s.speed * tick * per_rad), _LINES),
-        "speed_observer.step_per_speed": to.of(INT32_Q16, "step per speed", s.speed * tick * per_rad, _LINES),
         "speed_observer.l_position": to.of(GAIN, "observer, position", 1.0 - p**3, slower),
         "speed_observer.l_speed": to.of(GAIN, "observer, speed", 1.5 * (1.0 - p) ** 2 * (1.0 + p), slower),
         "speed_observer.l_acceleration": to.of(GAIN, "observer, acceleration", (1.0 - p) ** 3, slower),
@@ -186,17 +197,27 @@ def _motion(to: Converter, gains: Gains) -> dict[str, Field]:
     }
 
 
-def _feed_forward(to: Converter) -> dict[str, Field]:
-    axis, board, s = to.axis, to.board, to.s
+def friction_constants(to: Converter) -> dict[str, Field]:
+    """Feed-forward of the current against friction.
+
+    Raises
+    ------
+    ConfigError
+        If a value does not fit its format.
+    """
+    axis, s = to.axis, to.s
     k_t, smooth = axis.torque_constant, axis("friction.smooth")
-    inertia = axis("motor.inertia") / k_t * s.speed / board.tick / s.i
     return {
         "friction.coulomb": to.at(FRAC32, "friction.coulomb", 1.0 / k_t / s.i),
         "friction.viscous": to.at(GAIN, "friction.viscous", s.speed / k_t / s.i),
         "friction.smooth": to.at(FRAC32, "friction.smooth", 1.0 / s.speed),
         "friction.slope": INT32_Q16.raw(axis.entry("friction.smooth") + ": slope", s.speed / smooth, "raise it"),
-        "acceleration_forward": to.of(INT32_Q16, "current for the acceleration", inertia, _HOLD),
     }
+
+
+def _acceleration_forward(to: Converter) -> dict[str, Field]:
+    inertia = to.axis("motor.inertia") / to.axis.torque_constant * to.s.speed / to.board.tick / to.s.i
+    return {"acceleration_forward": to.of(INT32_Q16, "current for the acceleration", inertia, _HOLD)}
 
 
 def _limits(to: Converter) -> dict[str, Field]:

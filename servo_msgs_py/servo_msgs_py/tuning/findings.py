@@ -8,6 +8,7 @@ from typing import Final
 
 from servo_msgs_py.tuning.assessment import Assessment
 from servo_msgs_py.tuning.field_weakening import field_weakening_loops
+from servo_msgs_py.tuning.optional import PARTS
 from servo_msgs_py.tuning.sensorless_constants import needs_observer
 from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
 from servo_msgs_py.tuning.tuned import Tuned
@@ -80,6 +81,7 @@ def findings(design: Tuned, figures: Assessment) -> list[str]:
         *_rounding(design),
         *_sign(design),
         *_follows(design),
+        *_unusable(design),
         *_sensorless(design, figures),
     ]
 
@@ -165,11 +167,18 @@ def _follows(design: Tuned) -> Iterator[str]:
         yield f"{_entry(design, 'rotor_search.turn_time')}: {text}; write about {flux / FOLLOW_VOLTAGE_RECOMMENDED:.2g}"
 
 
+def _unusable(design: Tuned) -> Iterator[str]:
+    for name, reason in design.unusable.items():
+        yield f"{design.axis.name}: {PARTS[name].needed_for} cannot be used: {reason}"
+    if not design.axis.features["over_speed"] and design.axis("limits.over_speed") <= design.axis("limits.speed"):
+        text = f"with the feature OVER_SPEED a fault below limits.speed = {design.axis('limits.speed'):g} rad/s"
+        yield f"{_entry(design, 'limits.over_speed')}: {text}; write {1.2 * design.axis('limits.speed'):.3g}"
+
+
 def _sensorless(design: Tuned, figures: Assessment) -> Iterator[str]:
-    found, start_up = figures.sensorless, design.sensorless.start_up
-    if found.trouble is not None:
-        yield f"{design.axis.name}.feedback: operation without encoder is not possible: {found.trouble}"
+    if design.used_sensorless is None:
         return
+    found, start_up = figures.sensorless, design.used_sensorless.start_up
     if start_up.torque > START_UP_TORQUE_MAX:
         entry = _entry(design, "start_up.current_first")
         share = f"{100.0 * start_up.torque:.0f} % of the torque of its current"

@@ -121,7 +121,7 @@ def _load_step(plot: Any, design: Tuned) -> None:
 def _observer_poles(plot: Any, design: Tuned) -> None:
     circle = np.exp(1j * np.linspace(-0.6, 0.6, 200))
     plot.plot(circle.real, circle.imag, color="black", linewidth=0.6, label="unit circle")
-    if design.trouble is None:
+    if design.used_sensorless is not None:
         p = design.axis("motor.pole_pairs")
         speeds = p * np.linspace(0.0, design.axis("limits.speed"), 40)
         for r_s, inductance in WINDINGS:
@@ -135,12 +135,14 @@ def _observer_poles(plot: Any, design: Tuned) -> None:
 
 
 def _start_up(plot: Any, design: Tuned) -> None:
-    s = design.sensorless.start_up
+    plot.set_xlabel("time [ms]")
+    plot.set_title("start-up without an encoder")
+    if design.used_sensorless is None:
+        return
+    s = design.used_sensorless.start_up
     time = np.linspace(0.0, 1.3 * max(s.speed_time, s.current_time), 200)
     current = s.current_first + (s.current_final - s.current_first) * np.minimum(time / s.current_time, 1.0)
     speed = s.speed_final * np.minimum(time / s.speed_time, 1.0)
     plot.plot(1e3 * time, speed, label="speed [rad/s]", linewidth=1.1)
     plot.plot(1e3 * time, 10.0 * current, label="current [0.1 A]", linewidth=1.1)
     plot.axhline(s.minimum_speed, color="black", linewidth=0.6, label="minimum speed [rad/s]")
-    plot.set_xlabel("time [ms]")
-    plot.set_title("start-up without an encoder")

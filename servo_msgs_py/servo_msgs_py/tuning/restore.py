@@ -353,7 +353,7 @@ class _Restorer:
         """Block computed from the present entries; None if they are refused."""
         configuration = Configuration(self._board, (axis,), self._scales)
         try:
-            return block_of(integers(axis, configuration)[2], axis.name)
+            return block_of(integers(axis, configuration, {})[1], axis.name)
         except (ConfigError, ArithmeticError, ValueError):
             return None
 

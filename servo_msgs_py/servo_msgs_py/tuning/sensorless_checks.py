@@ -20,14 +20,13 @@ LAG_MAX: Final = math.radians(30.0)
 
 
 def check_sensorless(axis: Axis, board: Board) -> None:
-    """Check observer, phase-locked loop (PLL), reliability and start-up.
+    """Check observer, phase-locked loop (PLL), reliability and start-up; `check_observer_entries` has accepted them.
 
     Raises
     ------
     ConfigError
         If the axis cannot work without an encoder.
     """
-    _which_gains(axis)
     pll, start_up = Pll.of(axis), StartUp.of(axis)
     _observer(axis, board, pll)
     _ramps(axis, start_up)
@@ -41,8 +40,14 @@ def _top(axis: Axis) -> float:
     return axis("motor.pole_pairs") * axis("limits.speed")
 
 
-def _which_gains(axis: Axis) -> None:
-    """Check that either bandwidth and damping or K1 and K2 are given."""
+def check_observer_entries(axis: Axis) -> None:
+    """Check that either bandwidth and damping or K1 and K2 are given.
+
+    Raises
+    ------
+    ConfigError
+        If one is missing, or both are given.
+    """
     poles, gains = (("bandwidth", "damping"), ("k_1", "k_2"))
     for one, other in (gains, gains[::-1], *(() if axis.given("observer.k_1") else (poles, poles[::-1]))):
         if axis.given(f"observer.{one}") and not axis.given(f"observer.{other}"):

@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
-from servo_msgs_py.tuning.conversion import TICKS, AxisConstants, Converter, Field, PiRaw, pi_raw
+from servo_msgs_py.tuning.configuration import Axis, Board, Scales
+from servo_msgs_py.tuning.conversion import TICKS, Converter, Field, PiRaw, pi_raw
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
 from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
+from servo_msgs_py.tuning.sensorless_checks import check_sensorless
 from servo_msgs_py.tuning.sensors import AMPLITUDE_OFFSET_TIME
 
 F2: Final = 11
@@ -39,43 +40,25 @@ def needs_observer(axis: Axis) -> bool:
     return axis.feedback == "observer" or axis.features.get("angle_check", False)
 
 
-def sensorless_constants(
-    axis: Axis, design: Sensorless, configuration: Configuration
-) -> tuple[AxisConstants, ConfigError | None]:
-    """Fields of ``axis_config_t``; all 0, with the reason, if the motor cannot be observed and the axis has an encoder.
+def sensorless_constants(to: Converter) -> dict[str, Field]:
+    """Fields of ``axis_config_t``.
 
     Raises
     ------
     ConfigError
-        If the motor cannot be observed and the configuration needs the observer.
+        If the axis cannot work without an encoder.
     """
-    to = Converter(axis, configuration.board, configuration.scales)
-    try:
-        return _constants(to, design), None
-    except ConfigError as trouble:
-        if needs_observer(axis):
-            raise
-        return _off(axis), trouble
-
-
-def _constants(to: Converter, design: Sensorless) -> dict[str, Field]:
+    check_sensorless(to.axis, to.board)
+    design = Sensorless.of(to.axis, to.board)
     return {
         **_observer(to, design.observer),
         **_pll(to, design),
         **_reliability(to),
         **_start_up(to, design.start_up),
-        "feedback": FEEDBACKS.index(to.axis.feedback),
         "observed_speed": pi_raw(
             to.axis, "sensorless speed controller", design.speed, to.s.speed / to.s.i, "lower observer.speed_part"
         ),
     }
-
-
-def _off(axis: Axis) -> dict[str, Field]:
-    """Fields without an observer: all 0 except F2 and the feedback."""
-    fields: dict[str, Field] = dict.fromkeys(FIELDS, 0)
-    fields["observer.f2"] = F2  # used as a shift count
-    return fields | {"feedback": FEEDBACKS.index(axis.feedback), "observed_speed": PiRaw(0, 0, 0)}
 
 
 def _observer(to: Converter, observer: BackEmfObserver) -> dict[str, Field]:
@@ -223,7 +206,14 @@ FIELDS: Final = (
     *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_min", "mean_max")),
     *(f"startup.{key}" for key in ("damping", "damping_limit", "catch_ticks", "fade_step")),
 )
-"""Fields that are 0 without an observer, except F2."""
+"""Fields that are 0 without an observer."""
+
+OFF: Final[Mapping[str, Field]] = {
+    **dict.fromkeys(FIELDS, 0),
+    "observer.f2": F2,  # used as a shift count
+    "observed_speed": PiRaw(0, 0, 0),
+}
+"""All fields of an axis that cannot work without an encoder."""
 
 
 def _integer(constants: Mapping[str, Field], field: str) -> int:

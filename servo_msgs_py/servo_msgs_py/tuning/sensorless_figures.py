@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from servo_msgs_py.tuning.linear import Margins, Pole, pole_of, spectral_radius
+from servo_msgs_py.tuning.optional import SENSORLESS
 from servo_msgs_py.tuning.sensorless import angle_error, st_damping
 from servo_msgs_py.tuning.tuned import Tuned
 
@@ -78,8 +79,8 @@ class SensorlessFigures:
 
 def sensorless_figures(design: Tuned) -> SensorlessFigures:
     """Compute all figures."""
-    if design.trouble is not None:
-        return SensorlessFigures(design.axis.feedback, str(design.trouble), (), (), ())
+    if SENSORLESS in design.unusable:
+        return SensorlessFigures(design.axis.feedback, str(design.unusable[SENSORLESS]), (), (), ())
     return SensorlessFigures(
         design.axis.feedback,
         None,

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from servo_msgs_py.tuning.block import block_of, constants_of
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
-from servo_msgs_py.tuning.conversion import AxisConstants, PiRaw
+from servo_msgs_py.tuning.conversion import AxisConstants, Converter, PiRaw
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import FRAC32, GAIN
 from servo_msgs_py.tuning.gains import Gains, Pi
 from servo_msgs_py.tuning.linear import spectral_radius
 from servo_msgs_py.tuning.loops import CurrentLoop, ShaftLoops
+from servo_msgs_py.tuning.optional import PARTS, SENSORLESS, SPEED_OBSERVER
 from servo_msgs_py.tuning.sensorless import Sensorless
-from servo_msgs_py.tuning.sensorless_constants import sensorless_constants, used_observer, used_pll
+from servo_msgs_py.tuning.sensorless_constants import used_observer, used_pll
 from servo_msgs_py.tuning.sensors import MtSpeed, Observer, PllSpeed
 
 
@@ -42,9 +43,15 @@ class Tuned:
     constants: AxisConstants  # the integers
     back_emf: float  # gain of the back-EMF decoupling after rounding [V s/rad]
     observer: Observer  # the speed observer after rounding
-    sensorless: Sensorless  # observer of the back-EMF, PLL and start-up after rounding
-    designed_sensorless: Sensorless  # `sensorless` before rounding
-    trouble: ConfigError | None  # reason if the motor cannot be observed and the axis has an encoder
+    used_sensorless: Sensorless | None  # observer of the back-EMF, PLL and start-up after rounding; None: unusable
+    designed_sensorless: Sensorless | None  # the same before rounding
+    unusable: Mapping[str, ConfigError]  # parts of `PARTS` that the axis does not use and that cannot work: reason
+
+    @property
+    def sensorless(self) -> Sensorless:
+        """Observer of the back-EMF, PLL and start-up after rounding; only if the part is usable."""
+        assert self.used_sensorless is not None
+        return self.used_sensorless
 
     @property
     def block(self) -> dict[str, int]:
@@ -63,11 +70,11 @@ class Tuned:
             self.designed.named(), self.used.named(), raw, strict=True
         ):
             yield GainRow(name, unit, designed, used, integer)
-        if self.trouble is None:
-            yield from self._sensorless_rows()
+        if self.designed_sensorless is not None:
+            yield from self._sensorless_rows(self.designed_sensorless)
 
-    def _sensorless_rows(self) -> Iterator[GainRow]:
-        period, designed, used = self.board.period, self.designed_sensorless, self.sensorless
+    def _sensorless_rows(self, designed: Sensorless) -> Iterator[GainRow]:
+        period, used = self.board.period, self.sensorless
         k1, k2, speed = (self.constants[field] for field in ("observer.k1", "observer.k2", "observed_speed"))
         kp, ki = self.constants["pll.kp"], self.constants["pll.ki"]
         assert isinstance(k1, int)
@@ -126,11 +133,27 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
     ConfigError
         If a number does not fit its format, or a loop is unstable.
     """
-    designed, sensorless, constants, trouble = integers(axis, configuration)
+    result = _tuned(axis, configuration, {})
+    _refuse_unstable(result)
+    unstable = {
+        name: reason
+        for name, part in PARTS.items()
+        if name not in result.unusable and (reason := _instability(result, name)) is not None
+    }
+    for name, reason in unstable.items():
+        if PARTS[name].used(axis):
+            raise reason
+    return _tuned(axis, configuration, unstable) if unstable else result
+
+
+def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, ConfigError]) -> Tuned:
+    """Compute gains and integers of one axis without the optional parts that are unstable."""
+    designed, constants, unusable = integers(axis, configuration, unstable)
+    sensorless = None if SENSORLESS in unusable else Sensorless.of(axis, configuration.board)
     block = {**block_of(constants, axis.name), **axis.exact}
     constants = constants_of(block, constants)
     used = _Used(constants, configuration.scales)
-    result = Tuned(
+    return Tuned(
         axis=axis,
         board=configuration.board,
         designed=designed,
@@ -138,26 +161,42 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
         constants=constants,
         back_emf=GAIN.value(used.integer("current_loop.omega_psi")) * used.scales.u_s / used.scales.speed,
         observer=used.observer(axis, configuration.board),
-        sensorless=sensorless if trouble else used.sensorless(axis, configuration.board, sensorless),
+        used_sensorless=used.sensorless(axis, configuration.board, sensorless) if sensorless else None,
         designed_sensorless=sensorless,
-        trouble=trouble,
+        unusable=unusable,
     )
-    _refuse_unstable(result)
-    return result
 
 
-def integers(axis: Axis, configuration: Configuration) -> tuple[Gains, Sensorless, AxisConstants, ConfigError | None]:
-    """Return designed gains, integers, and the reason if the motor cannot be observed and the axis has an encoder.
+def integers(
+    axis: Axis, configuration: Configuration, off: Mapping[str, ConfigError]
+) -> tuple[Gains, AxisConstants, Mapping[str, ConfigError]]:
+    """Return designed gains, integers, and the reasons of the unused parts of `PARTS` that cannot work.
+
+    Parameters
+    ----------
+    off : mapping
+        Parts to be switched off, with the reasons.
 
     Raises
     ------
     ConfigError
-        If a number does not fit its format.
+        If a number does not fit its format, or a part that the axis uses cannot work.
     """
     designed = Gains.of(axis, configuration.board)
-    sensorless = Sensorless.of(axis, configuration.board)
-    observed, trouble = sensorless_constants(axis, sensorless, configuration)
-    return designed, sensorless, {**axis_constants(axis, designed, configuration), **observed}, trouble
+    constants = dict(axis_constants(axis, designed, configuration))
+    unusable = dict(off)
+    to = Converter(axis, configuration.board, configuration.scales)
+    for name, part in PARTS.items():
+        if name not in unusable:
+            try:
+                constants |= part.fields(to)
+                continue
+            except ConfigError as reason:
+                if part.used(axis):
+                    raise
+                unusable[name] = reason
+        constants |= part.off
+    return designed, constants, unusable
 
 
 @dataclass(frozen=True)
@@ -208,16 +247,30 @@ class _Used:
 def _refuse_unstable(design: Tuned) -> None:
     current = max(spectral_radius(design.current_loop(which).closed.a) for which in "dq")
     _refuse_radius(design, "control.current_bandwidth", current, "the sampled loop")
-    for observed, how in ((False, "the sampled loop"), (True, "with the speed observer the sampled loop")):
-        shaft = design.shaft(observed=observed)
-        speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
-        _refuse_radius(design, speed, spectral_radius(shaft.speed_alone), how)
-        _refuse_radius(design, "control.position_gain", spectral_radius(shaft.position.a), how)
-    if design.trouble is None:
-        for turning in (design.sensorless.start_up.minimum_speed, design.axis("limits.speed")):
-            radius = spectral_radius(design.sensorless_shaft(turning).speed_alone)
-            how = f"at {turning:.3g} rad/s the sensorless speed loop"
-            _refuse_radius(design, "observer.speed_part", radius, how)
+    _refuse_unstable_shaft(design, observed=False)
+
+
+def _instability(design: Tuned, part: str) -> ConfigError | None:
+    """Reason if a loop with an optional part is unstable."""
+    try:
+        if part == SPEED_OBSERVER:
+            _refuse_unstable_shaft(design, observed=True)
+        if part == SENSORLESS:
+            for turning in (design.sensorless.start_up.minimum_speed, design.axis("limits.speed")):
+                radius = spectral_radius(design.sensorless_shaft(turning).speed_alone)
+                how = f"at {turning:.3g} rad/s the sensorless speed loop"
+                _refuse_radius(design, "observer.speed_part", radius, how)
+    except ConfigError as reason:
+        return reason
+    return None
+
+
+def _refuse_unstable_shaft(design: Tuned, *, observed: bool) -> None:
+    how = "with the speed observer the sampled loop" if observed else "the sampled loop"
+    shaft = design.shaft(observed=observed)
+    speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
+    _refuse_radius(design, speed, spectral_radius(shaft.speed_alone), how)
+    _refuse_radius(design, "control.position_gain", spectral_radius(shaft.position.a), how)
 
 
 def _refuse_radius(design: Tuned, path: str, radius: float, how: str) -> None:
