@@ -33,6 +33,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot_table
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
+from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -45,10 +46,6 @@ MARK_VARIABLE = "SERVO_TEST_MARK"
 FAST_BAUD = 1_000_000
 """Baud rate of tests that are independent of the line speed: reading the variable table takes 0.5 s, not 2.5 s."""
 BOARD, BRIDGE, TWIN, TOOL = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node", "servo_bridge.tool"
-
-
-def _ros_arguments(parameters: Mapping[str, object]) -> list[str]:
-    return ["--ros-args", *(f for k, v in parameters.items() for f in ("-p", f"{k}:={v}"))] if parameters else []
 
 
 class Process:
@@ -204,7 +201,7 @@ class Chain:
 
     def bridge(self, port: str | None = None, *, hangs: float = 0.0, **parameters: object) -> Process:
         """Start a bridge; SIGUSR1 blocks its executor, but not its link thread, for `hangs` [s]."""
-        arguments = _ros_arguments({"port": port or self.port, "baud": self.baud, **parameters})
+        arguments = parameter_arguments(port=port or self.port, baud=self.baud, **parameters)
         if not hangs:
             return self._start(BRIDGE, *arguments)
         # Signal handlers run in the main thread, which runs the executor.
@@ -216,7 +213,7 @@ class Chain:
         return self._launch(BRIDGE, [sys.executable, "-c", code, *arguments])
 
     def twin(self, **parameters: object) -> Process:
-        return self._start(TWIN, *_ros_arguments(parameters))
+        return self._start(TWIN, *parameter_arguments(**parameters))
 
     def processes(self) -> dict[int, str]:
         """Command lines by process id of all running processes started here, with their descendants."""

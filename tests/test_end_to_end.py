@@ -231,7 +231,7 @@ class TestParameters:
         # Set by the tool before the bridge starts.
         chain.tool("set", "param.features[0]", f"{features}+SPEED_FORWARD+ACCELERATION_FORWARD")
         chain.tool("set", "param.speed_limit", "150,90")
-        chain.bridge(board_parameters=f'["param.i_q_limit=2.0,2.5", "param.features[1]={features}+POSITION_LIMITS"]')
+        chain.bridge(board_parameters=["param.i_q_limit=2.0,2.5", f"param.features[1]={features}+POSITION_LIMITS"])
         chain.twin()
         with ros_user() as user:
             user.until(user.connected, 30.0)

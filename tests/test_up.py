@@ -163,7 +163,8 @@ def test_invalid_command_lines_are_refused(arguments: list[str], text: str, caps
 
 
 def test_parameters_and_plant_are_passed_and_ctrl_c_ends_all_processes(started: list[Up], tmp_path: Path) -> None:
-    plant = tmp_path / "plant.toml"
+    plant = tmp_path / "plants #1: new" / "plant.toml"
+    plant.parent.mkdir()
     plant.write_text("[axis1]\ninertia = 1.2e-5\n")
     options = ("--set", "param.features[0]=ANTI_WINDUP+FRICTION", "--set", "param.host_timeout=0.25")
     up = Up(tmp_path, *options, "--plant", str(plant))
@@ -172,7 +173,7 @@ def test_parameters_and_plant_are_passed_and_ctrl_c_ends_all_processes(started: 
     assert "bridge connected" in up.text()
     assert "/servo/axis1/position" in up.text()
     children = descendants(up.mark)
-    for name, argument in (("virtual_board", str(plant)), ("servo_twin", f"plant:={plant}")):
+    for name, argument in (("virtual_board", str(plant)), ("servo_twin", f'plant:="{plant}"')):
         assert argument in children[up.child(f"bin/{name}\0")].split("\0")
     get = [str(executable("servo-command")), "get", "param.features[0]", "param.host_timeout"]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

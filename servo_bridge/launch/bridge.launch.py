@@ -55,7 +55,7 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[
             value["params"],
             {
-                "port": port,
+                "port": ParameterValue(port, value_type=str),
                 "baud": ParameterValue(value["baud"], value_type=int),
                 "autostart": ParameterValue(value["autostart"], value_type=bool),
             },

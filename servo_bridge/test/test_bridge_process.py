@@ -27,6 +27,7 @@ from rclpy.node import Node
 from servo_bridge.node import main
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
+from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool
@@ -141,7 +142,7 @@ class Bridge:
 
 
 def port_arguments(port: FakePort) -> list[str]:
-    return ["--ros-args", "-p", f"port:={port.path}"]
+    return parameter_arguments(port=port.path)
 
 
 def test_shutdown_transition_ends_the_program(tmp_path: Path) -> None:

@@ -97,6 +97,27 @@ def launch(tmp_path: Path) -> Iterator[Start]:
             each.interrupt()
 
 
+def test_launch_files_give_every_parameter_a_type() -> None:
+    """Without one, launch_ros reads the text of an argument as YAML: a port `/dev/tty #1` would be `/dev/tty`."""
+    count = 0
+    for file in FOLDER.glob("*.launch.py"):
+        tree = ast.parse(file.read_text())
+        named = {
+            node.targets[0].id: node.value
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
+        }
+        for word in (node for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "parameters"):
+            assert isinstance(word.value, ast.List)
+            sets = (named.get(each.id) if isinstance(each, ast.Name) else each for each in word.value.elts)
+            for value in (value for each in sets if isinstance(each, ast.Dict) for value in each.values):
+                count += 1
+                assert isinstance(value, ast.Call), f"{file.name}: {ast.unparse(value)}"
+                assert ast.unparse(value.func) == "ParameterValue"
+                assert "value_type" in [keyword.arg for keyword in value.keywords]
+    assert count >= 7
+
+
 def test_launched_programs_exist_and_only_nodes_get_ros_arguments() -> None:
     tree = ast.parse((FOLDER / "bridge.launch.py").read_text())
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -23,6 +23,7 @@ from typing import Any, Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
+from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 from servo_msgs_py import board_parameters
 from servo_twin.level import LEVEL_VARIABLE, add_level_option, chosen_level
@@ -199,15 +200,6 @@ class Stack:
         return killed
 
 
-def _ros(**parameters: object) -> list[str]:
-    """Command-line arguments for the parameters of a node."""
-    result = ["--ros-args"]
-    for name, value in parameters.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        result += ["-p", f"{name}:={text}"]
-    return result
-
-
 def _print(text: str) -> None:
     print(text, flush=True)
 
@@ -249,16 +241,16 @@ def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Pat
         If a child process fails.
     """
     port = args.port or _virtual_board(stack, args, folder)
-    board_parameters_json = json.dumps(args.set or [""])
-    bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud, board_parameters=board_parameters_json))
+    parameters = {"port": port, "baud": args.baud, "board_parameters": args.set or [""]}
+    bridge = stack.start("servo_bridge", *parameter_arguments(**parameters))
     # The twin has the plant of the virtual board, but another seed: start angles and noise differ.
     files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
     given = {name: path.absolute() for name, path in files.items() if path}
-    twin = stack.start("servo_twin", *_ros(seed=args.seed + 1, **given))
+    twin = stack.start("servo_twin", *parameter_arguments(seed=args.seed + 1, **given))
     web = not (args.no_web or args.demo)
     viewer = None
     if web or record:
-        viewer = stack.start("servo_viewer", *_ros(record=record or "''", web=web))
+        viewer = stack.start("servo_viewer", *parameter_arguments(record=record or "", web=web))
     if stack.wait(bridge, "connected to", _CONNECT_TIMEOUT):
         _print(f"bridge connected to {port}")
     else:
@@ -275,7 +267,7 @@ def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Pat
 def _wait_for_stop(stack: Stack, args: argparse.Namespace) -> NoReturn:
     domain = os.environ.get("ROS_DOMAIN_ID") if args.domain_id is None else str(args.domain_id)
     setting = f", ROS_DOMAIN_ID={domain}" if domain not in (None, "0") else ""
-    _print(_HOW_TO.format(command=executable("servo-command"), domain=setting))
+    _print(_HOW_TO.format(command=shlex.quote(str(executable("servo-command"))), domain=setting))
     while True:
         wait_until(lambda: False, stack.children, 1.0)
         stack.print_warnings()
@@ -317,7 +309,7 @@ def _finish_demo(record: Path, out: Path) -> None:
     picture = out / "demo.png"
     picture.unlink(missing_ok=True)
     draw(record, picture)
-    _print(f"recording  {record}   (view: {executable('rerun')} {record})\npicture    {picture}")
+    _print(f"recording  {record}   (view: {shlex.join([str(executable('rerun')), str(record)])})\npicture    {picture}")
 
 
 def _environment(args: argparse.Namespace) -> dict[str, str]:

@@ -28,6 +28,7 @@ from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_sta
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
+from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
@@ -62,10 +63,9 @@ class ViewerProcess:
 
     def __init__(self, folder: Path, **parameters: object) -> None:
         self._log = folder / "log"
-        arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
         with self._log.open("w") as output:
             self.process = subprocess.Popen(
-                with_parent_death_signal([sys.executable, "-c", MAIN, "--ros-args", *arguments]),
+                with_parent_death_signal([sys.executable, "-c", MAIN, *parameter_arguments(**parameters)]),
                 stdout=output,
                 stderr=output,
                 env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), RERUN_STRICT="1"),
@@ -197,7 +197,7 @@ RESIDUAL = scene.residual_entity(0, "position")
 
 def test_published_data_are_in_the_file_after_sigterm(start: Start, robot: Robot, tmp_path: Path) -> None:
     file = tmp_path / "new" / "run.rrd"
-    viewer = start(record=file, web="false")
+    viewer = start(record=file, web=False)
     viewer.wait_for("recording to ")
     robot.wait_for_viewer(viewer)
     robot.publish("/servo/state", String(data="axis1=STOP axis2=STOP"))
@@ -248,7 +248,7 @@ def test_published_data_are_in_the_file_after_sigterm(start: Start, robot: Robot
 
 def test_without_a_twin_the_board_is_recorded_until_ctrl_c(start: Start, robot: Robot, tmp_path: Path) -> None:
     file = tmp_path / "run.rrd"
-    viewer = start(record=file, web="false")
+    viewer = start(record=file, web=False)
     robot.wait_for_viewer(viewer)
     robot.publish("/servo/snapshot", Float64MultiArray(data=[1.0, 2.0]))  # no telemetry table
     robot.rows("/servo/snapshot")
