@@ -27,8 +27,8 @@ from rclpy.node import Node
 from servo_bridge.node import main
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
-from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.runtime.qos import latched_qos
+from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool
 

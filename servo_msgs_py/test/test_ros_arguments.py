@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from itertools import pairwise
 from pathlib import Path
 
 import rclpy
@@ -13,7 +14,9 @@ from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 NAMES = ["run #1.rrd", "a: b", "[new] 1.rrd", "{x}", "- y", "&a", "*a", "!t", "o'neil", 'say "so"', "%", "@", "`", "|"]
 LIKE_VALUES = ["", "true", "null", "~", "12", "1e3", "1_0", ".inf", "0x1F", "yes"]
-PRINTABLE = st.text(st.characters(exclude_categories=["C", "Zl", "Zp"], include_characters="\t\n\U0001f600"), max_size=9)
+PRINTABLE = st.text(
+    st.characters(exclude_categories=["C", "Zl", "Zp"], include_characters="\t\n\U0001f600"), max_size=9
+)
 
 
 def received(**parameters: object) -> dict[str, object]:
@@ -65,7 +68,7 @@ def test_nothing_else_writes_a_parameter() -> None:
     for path in root.glob("servo_*/servo_*/**/*.py"):
         strings = (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.JoinedStr))
         for parts in (string.values for string in strings):
-            for text, value in zip(parts, parts[1:], strict=False):
+            for text, value in pairwise(parts):
                 marked = isinstance(text, ast.Constant) and str(text.value).endswith((":=", ":='", ':="'))
                 if marked and isinstance(value, ast.FormattedValue) and path.name != "ros_arguments.py":
                     elsewhere.append(f"{path.relative_to(root)}:{text.lineno}")

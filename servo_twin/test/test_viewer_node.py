@@ -28,8 +28,8 @@ from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_sta
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
-from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
+from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts

@@ -9,8 +9,8 @@ from pathlib import PurePath
 def parameter_arguments(**parameters: object) -> list[str]:
     """Arguments that give a node these parameters.
 
-    rcl reads a value as YAML: unquoted, ``run #1.rrd`` would be ``run``, and ``[new] 1.rrd`` an error. JSON is a part of
-    YAML that quotes every text. Characters are not escaped beyond ASCII, because YAML does not know surrogate pairs.
+    rcl reads a value as YAML: unquoted, ``run #1.rrd`` would be ``run``, and ``[new] 1.rrd`` an error. JSON is a part
+    of YAML that quotes every text. Characters beyond ASCII are not escaped, because YAML has no surrogate pairs.
 
     Parameters
     ----------
