@@ -44,6 +44,7 @@ SETTLING = 0.05  # s, following error of the ramp
 AT_REST = 2.0  # rad/s
 HOLDING = 4 * 2.0 * math.pi / 4000  # rad, largest motion of a held shaft
 HANG = 1.2  # s
+SUSPENSION = 5.0  # s
 
 Row = dict[str, float]
 
@@ -397,6 +398,23 @@ class TestRows:
         assert seconds(silent["tick"] - rows[-1]["applied_tick"]) <= TIMEOUT + KEEP_ALIVE + RAMP + 0.1 + rig.exchanges
         assert fault_names(rows[-1]) == [["HOST_SILENT"]] * 2
         rig.wait_for_standstill()
+        rig.assert_restart_by_command_only()
+
+    def test_bridge_suspended(self, rig: Rig) -> None:
+        """All threads stand still; the link survives, because the board was not reset."""
+        bridge = rig.start_turning()
+        states = len(rig.user.messages["/servo/state"])
+        applied = rig.last["applied_tick"]
+        bridge.send(signal.SIGSTOP)
+        try:
+            time.sleep(SUSPENSION)
+        finally:
+            bridge.send(signal.SIGCONT)
+        rig.user.until(lambda: labels(rig.last) == FAULT and is_at_rest(rig.last), 5.0, "no fault")
+        assert fault_names(rig.last) == [["HOST_SILENT"]] * 2
+        assert seconds(rig.last["tick"] - applied) > SUSPENSION
+        rig.wait_for_standstill()
+        assert not any("DISCONNECTED" in m.data for m in rig.user.messages["/servo/state"][states:])
         rig.assert_restart_by_command_only()
 
     def test_bridge_restarted(self, rig: Rig) -> None:

@@ -31,6 +31,7 @@ static void raise_on_all(servo_t *servo, finding_t finding)
 void servo_init(servo_t *servo, hal_t *hal)
 {
     servo->catalogue_hash = CATALOGUE_HASH;
+    servo->boot_token = 0;
     servo->hal = hal;
     servo->snapshot = (snapshot_t){0};
     servo->estimate = (estimate_block_t){0};

@@ -30,6 +30,7 @@
 
 typedef struct servo {
     uint32_t catalogue_hash; /* hash of variables.toml */
+    uint32_t boot_token; /* 0 after a reset; then the number that the first host has written, until the next reset */
     snapshot_t snapshot;
     command_block_t command;
     parameter_block_t parameter;

@@ -23,6 +23,12 @@ static void lock(void *context, bool on)
  * accesses out of the section. */
 static void server_lock(servo_t *servo, bool on) { servo->freemaster.app.lock(servo, on); }
 
+static bool is_boot_token(uint16_t offset)
+{
+    const uint16_t begin = (uint16_t)offsetof(servo_t, boot_token);
+    return offset >= begin && offset < begin + sizeof((servo_t *)0)->boot_token;
+}
+
 static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint16_t size)
 {
     const points_board_t board = {servo->axis, &servo->snapshot, servo->marks.points != 0U};
@@ -40,6 +46,9 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     const uint16_t points = (uint16_t)offsetof(servo_t, command.points);
     if (offset >= points && (uint32_t)offset + size <= points + sizeof servo->command.points) {
         return accepts_points(servo, offset == points && mask == NULL, data, size);
+    }
+    if (is_boot_token(offset) && servo->boot_token != 0U) {
+        return false; /* written before */
     }
     const uint16_t config = (uint16_t)offsetof(servo_t, config);
     if (offset >= config && (uint32_t)offset + size <= config + sizeof servo->config) {
@@ -101,7 +110,8 @@ static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
     (void)context;
     (void)size; /* no variable spans the boundary of a block */
     const uint16_t begin = (uint16_t)offsetof(servo_t, command);
-    return (offset >= begin && offset < begin + sizeof(command_block_t)) ? ACCESS_COMMAND : ACCESS_TUNE;
+    const bool commands = offset >= begin && offset < begin + sizeof(command_block_t);
+    return (commands || is_boot_token(offset)) ? ACCESS_COMMAND : ACCESS_TUNE;
 }
 
 static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)

@@ -17,221 +17,222 @@
 
 /* The table and the structure agree on every size. */
 CHECK(0, SIZE(catalogue_hash) == 4);
-CHECK(1, SIZE(snapshot.tick) == 4);
-CHECK(2, SIZE(snapshot.applied_tick) == 4);
-CHECK(3, SIZE(snapshot.applied_count) == 2);
-CHECK(4, SIZE(snapshot.u_dc) == 2);
-CHECK(5, SIZE(snapshot.late_loops) == 2);
-CHECK(6, SIZE(snapshot.receiver_overruns) == 2);
-CHECK(7, SIZE(snapshot.points_refused) == 2);
-CHECK(8, SIZE(snapshot.point_refusal) == 2);
-CHECK(9, SIZE(command.position) == 8);
-CHECK(10, SIZE(command.speed) == 8);
-CHECK(11, SIZE(command.i_q) == 4);
-CHECK(12, SIZE(command.mode) == 4);
-CHECK(13, SIZE(command.enable) == 4);
-CHECK(14, SIZE(command.quick_stop) == 4);
-CHECK(15, SIZE(command.clear_faults) == 4);
-CHECK(16, SIZE(command.home_position) == 8);
-CHECK(17, SIZE(command.home) == 4);
-CHECK(18, SIZE(command.test_amplitude) == 4);
-CHECK(19, SIZE(command.test_step) == 8);
-CHECK(20, SIZE(command.test_growth) == 8);
-CHECK(21, SIZE(command.test_calls) == 8);
-CHECK(22, SIZE(command.test_point) == 4);
-CHECK(23, SIZE(command.points) == 128);
-CHECK(24, SIZE(config.window) == 100);
-CHECK(25, SIZE(config.header) == 16);
-CHECK(26, SIZE(config.take) == 2);
-CHECK(27, SIZE(config_status.layout) == 4);
-CHECK(28, SIZE(config_status.checksum) == 8);
-CHECK(29, SIZE(config_status.taken_tick) == 4);
-CHECK(30, SIZE(config_status.taken_count) == 2);
-CHECK(31, SIZE(config_status.answers) == 2);
-CHECK(32, SIZE(config_status.refusal) == 2);
-CHECK(33, SIZE(config_status.refused_member) == 2);
-CHECK(34, SIZE(storage_request.request) == 4);
-CHECK(35, SIZE(storage_status.sequence) == 4);
-CHECK(36, SIZE(storage_status.state) == 2);
-CHECK(37, SIZE(storage_status.answered) == 2);
-CHECK(38, SIZE(storage_status.refusal) == 2);
-CHECK(39, SIZE(storage_status.source) == 2);
-CHECK(40, SIZE(storage_status.copy) == 4);
-CHECK(41, SIZE(storage_status.saves) == 2);
-CHECK(42, SIZE(parameter.speed_limit) == 8);
-CHECK(43, SIZE(parameter.acceleration_limit) == 8);
-CHECK(44, SIZE(parameter.i_q_limit) == 4);
-CHECK(45, SIZE(parameter.features) == 4);
-CHECK(46, SIZE(parameter.position_min) == 8);
-CHECK(47, SIZE(parameter.position_max) == 8);
-CHECK(48, SIZE(parameter.following_error) == 8);
-CHECK(49, SIZE(parameter.over_speed) == 8);
-CHECK(50, SIZE(parameter.feedback) == 4);
-CHECK(51, SIZE(parameter.on_disable) == 4);
-CHECK(52, SIZE(parameter.on_quick_stop) == 4);
-CHECK(53, SIZE(parameter.faults_enabled) == 8);
-CHECK(54, SIZE(parameter.monitor) == 4);
-CHECK(55, SIZE(parameter.host_timeout) == 2);
-CHECK(56, SIZE(parameter.command_timeout) == 2);
-CHECK(57, SIZE(parameter.brake) == 2);
-CHECK(58, SIZE(snapshot.axis[0].position) == 4);
-CHECK(59, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(60, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(61, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(62, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(63, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(64, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(65, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(66, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(67, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(68, SIZE(snapshot.axis[0].state) == 2);
-CHECK(69, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(70, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(71, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(72, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(73, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(74, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(75, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(76, SIZE(snapshot.axis[0].winding_temperature) == 2);
-CHECK(77, SIZE(snapshot.axis[0].home_state) == 2);
-CHECK(78, SIZE(snapshot.axis[0].inputs) == 2);
-CHECK(79, SIZE(snapshot.monitor[0]) == 2);
-CHECK(80, SIZE(estimate.axis[0].speed) == 4);
-CHECK(81, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(82, SIZE(estimate.axis[0].emf) == 2);
-CHECK(83, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(84, SIZE(record[0].pending) == 4);
-CHECK(85, SIZE(nominal.torque_constant[0]) == 2);
-CHECK(86, SIZE(nominal.acceleration_current[0]) == 4);
-CHECK(87, SIZE(snapshot.axis[1].position) == 4);
-CHECK(88, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(89, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(90, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(91, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(92, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(93, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(94, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(95, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(96, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(97, SIZE(snapshot.axis[1].state) == 2);
-CHECK(98, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(99, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(100, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(101, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(102, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(103, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(104, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(105, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(106, SIZE(snapshot.axis[1].home_state) == 2);
-CHECK(107, SIZE(snapshot.axis[1].inputs) == 2);
-CHECK(108, SIZE(snapshot.monitor[1]) == 2);
-CHECK(109, SIZE(estimate.axis[1].speed) == 4);
-CHECK(110, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(111, SIZE(estimate.axis[1].emf) == 2);
-CHECK(112, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(113, SIZE(record[1].pending) == 4);
-CHECK(114, SIZE(nominal.torque_constant[1]) == 2);
-CHECK(115, SIZE(nominal.acceleration_current[1]) == 4);
-CHECK(116, SIZE(tick) >= 4);
-CHECK(117, SIZE(applied_tick) >= 4);
-CHECK(118, SIZE(applied_count) >= 2);
-CHECK(119, SIZE(axis[0].u_dc) >= 2);
-CHECK(120, SIZE(late_loops) >= 2);
-CHECK(121, SIZE(points_refused) >= 2);
-CHECK(122, SIZE(point_refusal) >= 2);
-CHECK(123, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(124, SIZE(axis[0].feedback.position) >= 4);
-CHECK(125, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(126, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(127, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(128, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(129, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(130, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(131, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(132, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(133, SIZE(axis[0].latch.captured) >= 4);
-CHECK(134, SIZE(axis[0].latch.first) >= 2);
-CHECK(135, SIZE(axis[0].active_limits) >= 2);
-CHECK(136, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(137, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(138, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(139, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(140, SIZE(axis[0].home.state) >= 2);
-CHECK(141, SIZE(axis[0].inputs) >= 2);
-CHECK(142, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(143, SIZE(axis[0].estimate.size) >= 2);
-CHECK(144, SIZE(axis[0].latch.pending) >= 4);
-CHECK(145, SIZE(axis[0].home.result) >= 2);
-CHECK(146, SIZE(axis[0].home.spread) >= 2);
-CHECK(147, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(148, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(149, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(150, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(151, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(152, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(153, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(154, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(155, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(156, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(157, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(158, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(159, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(160, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(161, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(162, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(163, SIZE(axis[0].test_signal.point) >= 2);
-CHECK(164, SIZE(axis[0].test_signal.value) >= 2);
-CHECK(165, SIZE(axis[0].startup.angle) >= 4);
-CHECK(166, SIZE(axis[0].command.mode) >= 2);
-CHECK(167, SIZE(axis[0].events.command) >= 2);
-CHECK(168, SIZE(axis[0].events.mode) >= 2);
-CHECK(169, SIZE(axis[0].sm.entered) >= 2);
-CHECK(170, SIZE(axis[1].feedback.position) >= 4);
-CHECK(171, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(172, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(173, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(174, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(175, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(176, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(177, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(178, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(179, SIZE(axis[1].latch.captured) >= 4);
-CHECK(180, SIZE(axis[1].latch.first) >= 2);
-CHECK(181, SIZE(axis[1].active_limits) >= 2);
-CHECK(182, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(183, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(184, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(185, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(186, SIZE(axis[1].home.state) >= 2);
-CHECK(187, SIZE(axis[1].inputs) >= 2);
-CHECK(188, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(189, SIZE(axis[1].estimate.size) >= 2);
-CHECK(190, SIZE(axis[1].latch.pending) >= 4);
-CHECK(191, SIZE(axis[1].home.result) >= 2);
-CHECK(192, SIZE(axis[1].home.spread) >= 2);
-CHECK(193, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(194, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(195, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(196, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(197, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(198, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(199, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(200, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(201, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(202, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(203, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(204, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(205, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(206, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(207, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(208, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(209, SIZE(axis[1].test_signal.point) >= 2);
-CHECK(210, SIZE(axis[1].test_signal.value) >= 2);
-CHECK(211, SIZE(axis[1].startup.angle) >= 4);
-CHECK(212, SIZE(axis[1].command.mode) >= 2);
-CHECK(213, SIZE(axis[1].events.command) >= 2);
-CHECK(214, SIZE(axis[1].events.mode) >= 2);
-CHECK(215, SIZE(axis[1].sm.entered) >= 2);
+CHECK(1, SIZE(boot_token) == 4);
+CHECK(2, SIZE(snapshot.tick) == 4);
+CHECK(3, SIZE(snapshot.applied_tick) == 4);
+CHECK(4, SIZE(snapshot.applied_count) == 2);
+CHECK(5, SIZE(snapshot.u_dc) == 2);
+CHECK(6, SIZE(snapshot.late_loops) == 2);
+CHECK(7, SIZE(snapshot.receiver_overruns) == 2);
+CHECK(8, SIZE(snapshot.points_refused) == 2);
+CHECK(9, SIZE(snapshot.point_refusal) == 2);
+CHECK(10, SIZE(command.position) == 8);
+CHECK(11, SIZE(command.speed) == 8);
+CHECK(12, SIZE(command.i_q) == 4);
+CHECK(13, SIZE(command.mode) == 4);
+CHECK(14, SIZE(command.enable) == 4);
+CHECK(15, SIZE(command.quick_stop) == 4);
+CHECK(16, SIZE(command.clear_faults) == 4);
+CHECK(17, SIZE(command.home_position) == 8);
+CHECK(18, SIZE(command.home) == 4);
+CHECK(19, SIZE(command.test_amplitude) == 4);
+CHECK(20, SIZE(command.test_step) == 8);
+CHECK(21, SIZE(command.test_growth) == 8);
+CHECK(22, SIZE(command.test_calls) == 8);
+CHECK(23, SIZE(command.test_point) == 4);
+CHECK(24, SIZE(command.points) == 128);
+CHECK(25, SIZE(config.window) == 100);
+CHECK(26, SIZE(config.header) == 16);
+CHECK(27, SIZE(config.take) == 2);
+CHECK(28, SIZE(config_status.layout) == 4);
+CHECK(29, SIZE(config_status.checksum) == 8);
+CHECK(30, SIZE(config_status.taken_tick) == 4);
+CHECK(31, SIZE(config_status.taken_count) == 2);
+CHECK(32, SIZE(config_status.answers) == 2);
+CHECK(33, SIZE(config_status.refusal) == 2);
+CHECK(34, SIZE(config_status.refused_member) == 2);
+CHECK(35, SIZE(storage_request.request) == 4);
+CHECK(36, SIZE(storage_status.sequence) == 4);
+CHECK(37, SIZE(storage_status.state) == 2);
+CHECK(38, SIZE(storage_status.answered) == 2);
+CHECK(39, SIZE(storage_status.refusal) == 2);
+CHECK(40, SIZE(storage_status.source) == 2);
+CHECK(41, SIZE(storage_status.copy) == 4);
+CHECK(42, SIZE(storage_status.saves) == 2);
+CHECK(43, SIZE(parameter.speed_limit) == 8);
+CHECK(44, SIZE(parameter.acceleration_limit) == 8);
+CHECK(45, SIZE(parameter.i_q_limit) == 4);
+CHECK(46, SIZE(parameter.features) == 4);
+CHECK(47, SIZE(parameter.position_min) == 8);
+CHECK(48, SIZE(parameter.position_max) == 8);
+CHECK(49, SIZE(parameter.following_error) == 8);
+CHECK(50, SIZE(parameter.over_speed) == 8);
+CHECK(51, SIZE(parameter.feedback) == 4);
+CHECK(52, SIZE(parameter.on_disable) == 4);
+CHECK(53, SIZE(parameter.on_quick_stop) == 4);
+CHECK(54, SIZE(parameter.faults_enabled) == 8);
+CHECK(55, SIZE(parameter.monitor) == 4);
+CHECK(56, SIZE(parameter.host_timeout) == 2);
+CHECK(57, SIZE(parameter.command_timeout) == 2);
+CHECK(58, SIZE(parameter.brake) == 2);
+CHECK(59, SIZE(snapshot.axis[0].position) == 4);
+CHECK(60, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(61, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(62, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(63, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(64, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(65, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(66, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(67, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(68, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(69, SIZE(snapshot.axis[0].state) == 2);
+CHECK(70, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(71, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(72, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(73, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(74, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(75, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(76, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(77, SIZE(snapshot.axis[0].winding_temperature) == 2);
+CHECK(78, SIZE(snapshot.axis[0].home_state) == 2);
+CHECK(79, SIZE(snapshot.axis[0].inputs) == 2);
+CHECK(80, SIZE(snapshot.monitor[0]) == 2);
+CHECK(81, SIZE(estimate.axis[0].speed) == 4);
+CHECK(82, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(83, SIZE(estimate.axis[0].emf) == 2);
+CHECK(84, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(85, SIZE(record[0].pending) == 4);
+CHECK(86, SIZE(nominal.torque_constant[0]) == 2);
+CHECK(87, SIZE(nominal.acceleration_current[0]) == 4);
+CHECK(88, SIZE(snapshot.axis[1].position) == 4);
+CHECK(89, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(90, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(91, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(92, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(93, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(94, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(95, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(96, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(97, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(98, SIZE(snapshot.axis[1].state) == 2);
+CHECK(99, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(100, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(101, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(102, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(103, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(104, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(105, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(106, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(107, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(108, SIZE(snapshot.axis[1].inputs) == 2);
+CHECK(109, SIZE(snapshot.monitor[1]) == 2);
+CHECK(110, SIZE(estimate.axis[1].speed) == 4);
+CHECK(111, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(112, SIZE(estimate.axis[1].emf) == 2);
+CHECK(113, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(114, SIZE(record[1].pending) == 4);
+CHECK(115, SIZE(nominal.torque_constant[1]) == 2);
+CHECK(116, SIZE(nominal.acceleration_current[1]) == 4);
+CHECK(117, SIZE(tick) >= 4);
+CHECK(118, SIZE(applied_tick) >= 4);
+CHECK(119, SIZE(applied_count) >= 2);
+CHECK(120, SIZE(axis[0].u_dc) >= 2);
+CHECK(121, SIZE(late_loops) >= 2);
+CHECK(122, SIZE(points_refused) >= 2);
+CHECK(123, SIZE(point_refusal) >= 2);
+CHECK(124, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(125, SIZE(axis[0].feedback.position) >= 4);
+CHECK(126, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(127, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(128, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(129, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(130, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(131, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(132, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(133, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(134, SIZE(axis[0].latch.captured) >= 4);
+CHECK(135, SIZE(axis[0].latch.first) >= 2);
+CHECK(136, SIZE(axis[0].active_limits) >= 2);
+CHECK(137, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(138, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(139, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(140, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(141, SIZE(axis[0].home.state) >= 2);
+CHECK(142, SIZE(axis[0].inputs) >= 2);
+CHECK(143, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(144, SIZE(axis[0].estimate.size) >= 2);
+CHECK(145, SIZE(axis[0].latch.pending) >= 4);
+CHECK(146, SIZE(axis[0].home.result) >= 2);
+CHECK(147, SIZE(axis[0].home.spread) >= 2);
+CHECK(148, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(149, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(150, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(151, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(152, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(153, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(154, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(155, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(156, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(157, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(158, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(159, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(160, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(161, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(162, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(163, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(164, SIZE(axis[0].test_signal.point) >= 2);
+CHECK(165, SIZE(axis[0].test_signal.value) >= 2);
+CHECK(166, SIZE(axis[0].startup.angle) >= 4);
+CHECK(167, SIZE(axis[0].command.mode) >= 2);
+CHECK(168, SIZE(axis[0].events.command) >= 2);
+CHECK(169, SIZE(axis[0].events.mode) >= 2);
+CHECK(170, SIZE(axis[0].sm.entered) >= 2);
+CHECK(171, SIZE(axis[1].feedback.position) >= 4);
+CHECK(172, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(173, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(174, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(175, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(176, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(177, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(178, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(179, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(180, SIZE(axis[1].latch.captured) >= 4);
+CHECK(181, SIZE(axis[1].latch.first) >= 2);
+CHECK(182, SIZE(axis[1].active_limits) >= 2);
+CHECK(183, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(184, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(185, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(186, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(187, SIZE(axis[1].home.state) >= 2);
+CHECK(188, SIZE(axis[1].inputs) >= 2);
+CHECK(189, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(190, SIZE(axis[1].estimate.size) >= 2);
+CHECK(191, SIZE(axis[1].latch.pending) >= 4);
+CHECK(192, SIZE(axis[1].home.result) >= 2);
+CHECK(193, SIZE(axis[1].home.spread) >= 2);
+CHECK(194, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(195, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(196, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(197, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(198, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(199, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(200, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(201, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(202, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(203, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(204, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(205, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(206, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(207, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(208, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(209, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(210, SIZE(axis[1].test_signal.point) >= 2);
+CHECK(211, SIZE(axis[1].test_signal.value) >= 2);
+CHECK(212, SIZE(axis[1].startup.angle) >= 4);
+CHECK(213, SIZE(axis[1].command.mode) >= 2);
+CHECK(214, SIZE(axis[1].events.command) >= 2);
+CHECK(215, SIZE(axis[1].events.mode) >= 2);
+CHECK(216, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -391,6 +392,7 @@ static const char strings[] TABLE_MEMORY =
     "next\0"
     "size\0"
     "catalogue_hash\0"
+    "boot_token\0"
     "snapshot\0"
     "cmd.position\0"
     "cmd.speed\0"
@@ -737,7 +739,8 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {941, 946, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
     {1059, 946, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
     {1266, 910, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {1281, 885, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {1281, 910, AT(boot_token), SIZE(boot_token), TSA_KIND_RW}, /* boot_token */
+    {1292, 885, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
     {905, 910, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
     {912, 910, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
     {925, 939, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
@@ -746,168 +749,168 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {959, 939, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
     {977, 939, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
     {992, 245, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {1290, 1044, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {1303, 1065, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {1313, 946, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {1321, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {1330, 939, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {1341, 939, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {1356, 939, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {1373, 1044, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
-    {1391, 356, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
-    {1400, 946, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
-    {1419, 910, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
-    {1433, 910, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
-    {1449, 910, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
-    {1464, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
-    {1479, 1044, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {1490, 1044, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1504, 1044, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {1518, 939, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1530, 910, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1544, 910, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1560, 910, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1578, 939, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1597, 939, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1612, 939, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1627, 939, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1649, 939, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
-    {1665, 910, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
-    {1682, 709, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
-    {1696, 939, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
-    {1713, 853, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
-    {1729, 745, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
-    {1744, 785, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
-    {1757, 939, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
-    {1771, 1065, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1789, 1065, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1814, 946, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1830, 939, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1845, 1044, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1864, 1044, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1883, 1044, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1905, 1065, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1922, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1937, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1954, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1974, 910, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1995, 534, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {2009, 939, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {2028, 939, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {2050, 939, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {2062, 1065, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {2071, 1044, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {2086, 1044, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {2105, 1065, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {2117, 1065, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {2133, 946, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {2143, 946, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {2153, 946, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {2167, 946, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {2177, 946, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {2187, 946, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {2201, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {2213, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {2228, 910, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {2241, 939, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {2259, 939, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {2272, 939, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {2293, 939, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {2312, 939, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {2330, 946, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {2356, 946, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {2378, 314, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {2395, 939, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
-    {2408, 946, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {2422, 1065, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2443, 946, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2466, 946, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2485, 939, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2509, 910, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2523, 1228, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2542, 442, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2560, 939, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2578, 946, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2600, 1044, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2627, 946, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2637, 946, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2647, 946, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2657, 946, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2671, 946, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2684, 946, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2697, 946, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2710, 1044, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2721, 1044, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2732, 1044, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2747, 1065, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2763, 1065, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2782, 1065, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2798, 1044, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2814, 1044, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2830, 1044, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2845, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
-    {2862, 946, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
-    {2880, 946, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
-    {2897, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2908, 939, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2928, 939, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2945, 939, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2963, 1044, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2978, 1044, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2997, 1065, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {3009, 1065, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {3025, 946, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {3035, 946, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {3045, 946, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {3059, 946, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {3069, 946, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {3079, 946, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {3093, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {3105, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {3120, 910, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {3133, 939, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {3151, 939, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {3164, 939, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {3185, 939, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {3204, 939, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {3222, 946, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {3248, 946, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {3270, 314, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {3287, 939, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
-    {3300, 946, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {3314, 1065, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {3335, 946, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {3358, 946, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {3377, 939, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {3401, 910, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {3415, 1228, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {3434, 442, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {3452, 939, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3470, 946, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3492, 1044, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3519, 946, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3529, 946, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3539, 946, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3549, 946, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3563, 946, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3576, 946, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3589, 946, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3602, 1044, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3613, 1044, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3624, 1044, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3639, 1065, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3655, 1065, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3674, 1065, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3690, 1044, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3706, 1044, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3722, 1044, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3737, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
-    {3754, 946, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
-    {3772, 946, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
-    {3789, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3800, 939, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3820, 939, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3837, 939, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {1301, 1044, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1314, 1065, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1324, 946, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1332, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1341, 939, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1352, 939, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1367, 939, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1384, 1044, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1402, 356, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1411, 946, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
+    {1430, 910, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
+    {1444, 910, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
+    {1460, 910, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
+    {1475, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
+    {1490, 1044, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {1501, 1044, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1515, 1044, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1529, 939, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1541, 910, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1555, 910, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1571, 910, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1589, 939, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1608, 939, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1623, 939, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1638, 939, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1660, 939, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1676, 910, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1693, 709, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1707, 939, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1724, 853, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1740, 745, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1755, 785, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1768, 939, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1782, 1065, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1800, 1065, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1825, 946, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1841, 939, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1856, 1044, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1875, 1044, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1894, 1044, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1916, 1065, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1933, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1948, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1965, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1985, 910, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {2006, 534, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {2020, 939, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {2039, 939, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {2061, 939, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {2073, 1065, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {2082, 1044, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {2097, 1044, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {2116, 1065, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2128, 1065, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2144, 946, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2154, 946, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2164, 946, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2178, 946, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2188, 946, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2198, 946, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2212, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2224, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2239, 910, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2252, 939, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2270, 939, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2283, 939, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2304, 939, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2323, 939, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2341, 946, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2367, 946, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2389, 314, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2406, 939, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {2419, 946, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2433, 1065, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2454, 946, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2477, 946, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2496, 939, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2520, 910, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2534, 1228, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2553, 442, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2571, 939, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2589, 946, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2611, 1044, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2638, 946, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2648, 946, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2658, 946, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2668, 946, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2682, 946, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2695, 946, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2708, 946, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2721, 1044, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2732, 1044, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2743, 1044, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2758, 1065, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2774, 1065, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2793, 1065, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2809, 1044, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2825, 1044, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2841, 1044, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2856, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
+    {2873, 946, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
+    {2891, 946, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
+    {2908, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2919, 939, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2939, 939, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2956, 939, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2974, 1044, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2989, 1044, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {3008, 1065, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {3020, 1065, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {3036, 946, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {3046, 946, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {3056, 946, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {3070, 946, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {3080, 946, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {3090, 946, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {3104, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {3116, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {3131, 910, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {3144, 939, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {3162, 939, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {3175, 939, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3196, 939, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3215, 939, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3233, 946, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3259, 946, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3281, 314, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3298, 939, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {3311, 946, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3325, 1065, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3346, 946, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3369, 946, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3388, 939, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3412, 910, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3426, 1228, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3445, 442, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3463, 939, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3481, 946, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3503, 1044, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3530, 946, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3540, 946, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3550, 946, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3560, 946, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3574, 946, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3587, 946, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3600, 946, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3613, 1044, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3624, 1044, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3635, 1044, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3650, 1065, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3666, 1065, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3685, 1065, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3701, 1044, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3717, 1044, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3733, 1044, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3748, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
+    {3765, 946, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
+    {3783, 946, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
+    {3800, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3811, 939, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3831, 939, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3848, 939, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -1026,10 +1029,11 @@ static const uint16_t refusal_offsets[] = {161, 261, 266, 271, 277, 286, 115, 12
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
 static const uint16_t copy_offsets[] = {799, 805, 812, 820, 833, 846};
 const name_list_t servo_copy_names = {copy_offsets, 6};
-static const uint16_t fault_offsets[] = {3855, 3868, 3882, 3895, 3910, 190, 3923, 3935, 3943, 3951, 3964, 3980, 3991, 4008, 4025, 4034, 4049, 4064, 4075, 4089, 4099, 4108, 343, 4126, 4139};
+static const uint16_t fault_offsets[] = {3866, 3879, 3893, 3906, 3921, 190, 3934, 3946, 3954, 3962, 3975, 3991, 4002, 4019, 4036, 4045, 4060, 4075, 4086, 4100, 4110, 4119, 343, 4137, 4150};
 const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
+    {OFFSET(boot_token), 4, 1, INT32_C(0), INT32_C(2147483647)}, /* boot_token */
     {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */
     {OFFSET(command.speed), 4, 2, INT32_C(-1718483103), INT32_C(1718483103)}, /* cmd.speed */
     {OFFSET(command.i_q), 2, 2, INT32_C(-15888), INT32_C(15888)}, /* cmd.i_q */

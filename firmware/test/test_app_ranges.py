@@ -20,7 +20,7 @@ CATALOGUE = Catalogue.load()
 WRITABLE = {
     v.name: v
     for v in CATALOGUE.variables.values()
-    if v.writable and v.name != "cmd.points" and not v.name.startswith(("config.", "storage."))
+    if v.writable and v.name.startswith(("cmd.", "param.")) and v.name != "cmd.points"
 }
 RANGED = [name for name in WRITABLE if name != "cmd.position"]
 BOUNDED = [name for name in RANGED if WRITABLE[name].raw_range[1] + 1 < 1 << 8 * WRITABLE[name].element_size]
@@ -218,3 +218,22 @@ def test_a_refused_command_takes_no_effect(bench: Bench) -> None:
         "it does not reset the host time-out"
     )
     assert not bench.axis(0).enable_requested
+
+
+# ---- boot token ------------------------------------------------------------------------------------------------------
+
+
+@ACCESS_PATHS
+def test_the_boot_token_is_written_once_after_each_reset(bench: Bench, write: WriteFunction) -> None:
+    variable = CATALOGUE["boot_token"]
+    address = bench.address(variable.name)
+    for token in (0x12345678, 5):
+        assert stored(bench, variable) == [0]
+        assert write(bench, address, encoded(variable, token)) == 0
+        for number in (0, token + 1):
+            assert write(bench, address, encoded(variable, number)) == OUT_OF_RANGE
+        for part in range(4):
+            assert write(bench, address + part, bytes(4 - part)) == OUT_OF_RANGE
+        bench.slow(3)
+        assert stored(bench, variable) == [token]
+        bench.core.lib.servo_init(bench.servo, bench.hal)

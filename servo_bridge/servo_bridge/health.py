@@ -23,7 +23,7 @@ from servo_bridge.wire.link_statistics import LinkStatistics
 _OK: Final[bytes] = DiagnosticStatus.OK
 _WARN: Final[bytes] = DiagnosticStatus.WARN
 _ERROR: Final[bytes] = DiagnosticStatus.ERROR
-_TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused")
+_TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused", "clock_disagreements")
 BOARD_COUNTERS: Final = ("late_loops", "receiver_overruns")
 """Error counters of the board, modulo 65536."""
 
@@ -107,6 +107,8 @@ class Health:
                 "stray bytes": figures.stray_bytes,
                 "connections": figures.connections,
                 "board resets": figures.resets,
+                "clock disagreements": figures.clock_disagreements,
+                "largest clock disagreement [s]": f"{figures.clock_disagreement_max:.3f}",
             },
         )
 

@@ -199,7 +199,7 @@ def record(context: Context) -> int:
                 values = list(reading.values)
                 moment, head = reading.time_ns, []
                 if tick is not None:
-                    count = extender.update(int(numbers(values.pop(0))[0]), reading.time_ns).tick
+                    count = extender.update(int(numbers(values.pop(0))[0]), reading.time_ns, reading.time_ns).tick
                     if count == last:
                         continue  # same sample as before
                     moment, head, last = count * PERIOD_NS, [count], count

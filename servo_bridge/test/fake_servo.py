@@ -38,7 +38,7 @@ class FakeServo(FakeTarget):
         for name, code in catalogue.bits["command"].items():
             self.commands[code] = partial(self._record_command, name)
         self.addresses: dict[str, int] = {}
-        self.written: list[tuple[str, int, bytes]] = []  # variable, offset, bytes
+        self.written: list[tuple[str, int, bytes]] = []  # variable, offset, bytes; without the boot token
         self._command_pending = False
         table = self.tables[0]
         for name, constants in catalogue.enums.items():
@@ -82,8 +82,8 @@ class FakeServo(FakeTarget):
         self.reset()
         self.start_ns, self.first_tick = self.clock(), 0
         self.host_signals.clear()
-        self.put("applied_tick", 0)
-        self.put("applied_count", 0)
+        for name in ("boot_token", "applied_tick", "applied_count"):
+            self.put(name, 0)
 
     def _name(self, address: int) -> str:
         return max((n for n, a in self.addresses.items() if a <= address), key=self.addresses.__getitem__)
@@ -92,6 +92,8 @@ class FakeServo(FakeTarget):
         """True if the board accepts these elements."""
         name = self._name(address)
         v, offset = self.catalogue[name], address - self.addresses[name]
+        if name == "boot_token" and self.get(name) != [0]:
+            return False
         low, high = v.raw_range
         for axis, raw in enumerate(v.elements(data), offset // v.element_size):
             if not low <= raw <= high:
@@ -104,6 +106,8 @@ class FakeServo(FakeTarget):
 
     def _record_write(self, address: int, data: bytes) -> None:
         name = self._name(address)
+        if name == "boot_token":
+            return
         self.written.append((name, address - self.addresses[name], data))
         if name.startswith("cmd."):
             self._command_pending = True

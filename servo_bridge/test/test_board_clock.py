@@ -18,12 +18,23 @@ S = 1_000_000_000
 def test_ticks_are_unwrapped_beyond_32_bits(start: int, steps: list[int]) -> None:
     extender = TickExtender()
     tick, now = start, 5 * S
-    assert extender.update(start, now).tick == start
+    assert extender.update(start, now, now).tick == start
     for step in steps:
         tick += step
         now += step * TICK
-        reading = extender.update(tick % 2**32, now)
-        assert (reading.tick, reading.epoch, reading.reset) == (tick, 0, False)
+        assert extender.disagreement(tick % 2**32, now, now) == 0
+        reading = extender.update(tick % 2**32, now, now)
+        assert (reading.tick, reading.epoch) == (tick, 0)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 400.0), st.integers(-1000, 1000))
+def test_wraps_during_a_long_pause_are_counted(start: int, hours: float, error_ms: int) -> None:
+    extender = TickExtender()
+    extender.update(start, S, S)
+    step = round(hours * 3600 * S / TICK)
+    now = S + step * TICK + error_ms * MS // 2
+    assert extender.disagreement((start + step) % 2**32, now, now) == 0
+    assert extender.update((start + step) % 2**32, now, now).tick == start + step
 
 
 @pytest.mark.parametrize(
@@ -31,31 +42,47 @@ def test_ticks_are_unwrapped_beyond_32_bits(start: int, steps: list[int]) -> Non
     [
         (1_000_000, 0.01, 0),  # decreases
         (0xF000_0000, 0.01, 100),  # decreases by more than half of the range, which looks like a jump forward
-        (5 * 16_000, 60.0, 8 * 16_000),  # wrapped unobserved
+        (5 * 16_000, 60.0, 8 * 16_000),  # too slow
+        (5 * 16_000, 0.1, 60 * 16_000),  # too fast
     ],
 )
-def test_reset_is_detected(last: int, gap_s: float, raw: int) -> None:
+def test_disagreement_is_measured_and_begins_no_epoch(last: int, gap_s: float, raw: int) -> None:
     extender = TickExtender()
-    extender.update(last, S)
-    reading = extender.update(raw, S + round(gap_s * 1e9))
-    assert (reading.tick, reading.epoch, reading.reset) == (raw, 1, True)
-    following = extender.update(raw + 160, S + round(gap_s * 1e9) + 10 * MS)
-    assert (following.epoch, following.reset) == (1, False)
+    extender.update(last, S, S)
+    now = S + round(gap_s * 1e9)
+    error_ns = abs((raw - last) % 2**32 * TICK - round(gap_s * 1e9))
+    measured = extender.disagreement(raw, now, now)
+    assert 0.4 * error_ns - S < measured < error_ns
+    assert extender.update(raw, now, now).epoch == 0
+    assert extender.disagreement(raw + 160, now + 10 * MS, now + 10 * MS) == 0
 
 
-def test_slow_board_or_pause_is_not_detected_as_a_reset() -> None:
+def test_slow_board_or_pause_is_no_disagreement() -> None:
     extender = TickExtender()
-    extender.update(0, 0)
-    assert not extender.update(12 * 16_000, 20 * S).reset  # runs at 60 %
-    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # stopped for 1 s
-    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # repeated sample
+    extender.update(0, 0, 0)
+    for tick, now in ((12 * 16_000, 20 * S), (12 * 16_000 + 8, 21 * S), (12 * 16_000 + 8, 21 * S)):
+        assert extender.disagreement(tick, now, now) == 0  # runs at 60 %; stopped for 1 s; repeated sample
+        extender.update(tick, now, now)
 
 
-def test_reported_reset_starts_a_new_epoch() -> None:
+@given(st.floats(0.0, 100.0), st.floats(0.0, 100.0))
+def test_host_that_processes_answers_late_is_no_disagreement(before_s: float, after_s: float) -> None:
+    """A suspended process finds the answer in the buffer: the tick is as old as the request."""
     extender = TickExtender()
-    extender.update(1000, S)
+    extender.update(0, 0, MS)
+    request = S
+    response = request + round(before_s * S)
+    assert extender.disagreement(request // TICK, request, response) == 0
+    extender.update(request // TICK, request, response)
+    request, now = response + 1, response + round(after_s * S) + 2
+    assert extender.disagreement(request // TICK, request, now) == 0
+
+
+def test_registered_reset_starts_a_new_epoch() -> None:
+    extender = TickExtender()
+    extender.update(1000, S, S)
     extender.restart()
-    reading = extender.update(1160, S + 10 * MS)
+    reading = extender.update(1160, S + 10 * MS, S + 10 * MS)
     assert (reading.tick, reading.epoch) == (1160, 1)
 
 

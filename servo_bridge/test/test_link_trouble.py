@@ -152,6 +152,34 @@ def test_a_reset_while_disconnected_starts_a_new_epoch(
     connected.wait_state(LinkState.CONNECTED)
     connected.wait_samples(1)
     assert connected.samples[-1].epoch == epoch + 1
+    assert connected.link.statistics().resets == 1
+
+
+def test_clock_that_disagrees_is_reported_as_such_and_keeps_the_link(connected: Watcher, fake_board: FakeServo) -> None:
+    connected.wait_samples(5)
+    tick = connected.samples[-1].tick
+    fake_board.first_tick += 5 * 16_000
+    connected.wait(lambda: connected.samples[-1].tick > tick + 5 * 16_000)
+    figures = connected.link.statistics()
+    assert (figures.resets, figures.clock_disagreements, connected.samples[-1].epoch) == (0, 1, 0)
+    assert 3.0 < figures.clock_disagreement_max < 4.1
+    assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
+
+
+def test_token_of_another_host_is_used(fake_port: FakePort, start_link: StartLink, fake_board: FakeServo) -> None:
+    """A clock that disagrees after a reconnection begins no epoch while the token is the same."""
+    fake_board.put("boot_token", 77)
+    watcher = start_link()
+    watcher.wait_state(LinkState.CONNECTED)
+    watcher.wait_samples(1)
+    fake_port.unplug()
+    watcher.wait_state(LinkState.DISCONNECTED)
+    fake_board.first_tick += 3600 * 16_000
+    fake_port.plug()
+    watcher.wait_state(LinkState.CONNECTED)
+    watcher.wait(lambda: watcher.samples[-1].tick > 3600 * 16_000)
+    assert (watcher.samples[-1].epoch, watcher.link.statistics().resets) == (0, 0)
+    assert fake_board.get("boot_token") == [77]
 
 
 def test_stopped_control_loop_is_reported(connected: Watcher, fake_board: FakeServo) -> None:

@@ -11,6 +11,7 @@ from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.scope_reader import BoardResetError, BoardStoppedError, ScopeReader
 from servo_bridge.wire.session import connect
 
+TOKEN = 1234
 NAMES = ("tick", "applied_tick", "applied_count", "axis1.position", "axis1.i_q", "cmd.position")
 
 
@@ -60,7 +61,9 @@ class Bench:
         self.board = FakeServo(ticks=self._ticks)
         self.transport = FakeTransport(self.board.feed)
         session = connect(client_on(self.transport), CATALOGUE)
-        self.reader = ScopeReader(session.client, layout(*NAMES), session.variables, TickExtender())
+        self.disagreements: list[int] = []
+        self.board.put("boot_token", TOKEN)
+        self.reader = ScopeReader(session, layout(*NAMES), TickExtender(), TOKEN, self.disagreements.append)
 
     def _ticks(self) -> int:
         self.tick += self.step
@@ -79,13 +82,46 @@ def test_reader_delivers_new_samples_only() -> None:
     assert following.tick == 848
 
 
-def test_reader_detects_a_reset_clock() -> None:
+def test_reader_detects_a_reset_by_the_token() -> None:
+    """Another client has set up an equal scope after the reset."""
     bench = Bench()
     bench.tick = 100_000_000
     bench.reader.first()
     bench.tick = 0
-    with pytest.raises(BoardResetError, match="clock started again"):
+    bench.board.put("boot_token", 0)
+    with pytest.raises(BoardResetError, match="token"):
         bench.reader.next()
+
+
+def test_clock_that_disagrees_is_counted_and_is_no_reset() -> None:
+    bench = Bench()
+    first = bench.reader.first()
+    bench.tick += 5 * 16_000  # 5 s
+    sample = bench.reader.next()
+    assert sample is not None
+    assert (sample.epoch, sample.tick) == (first.epoch, first.tick + 5 * 16_000 + 32)
+    assert bench.disagreements == [pytest.approx(4_000_000_000, abs=100_000_000)]
+    bench.reader.next()
+    assert len(bench.disagreements) == 1
+
+
+def test_sample_that_was_damaged_on_the_line_is_repeated() -> None:
+    bench = Bench()
+    first = bench.reader.first()
+    bench.tick += 1 << 24  # one bit
+    ticks = bench.board.ticks
+
+    def damaged_once() -> int:
+        tick = ticks()
+        if tick >= 1 << 24:
+            bench.tick -= 1 << 24
+        return tick
+
+    bench.board.ticks = damaged_once
+    sample = bench.reader.next()
+    assert sample is not None
+    assert (sample.epoch, sample.tick) == (first.epoch, first.tick + 32)
+    assert bench.disagreements == []
 
 
 def test_reader_detects_a_lost_set_up() -> None:

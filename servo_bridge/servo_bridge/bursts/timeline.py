@@ -50,7 +50,7 @@ class BoardTime:
     def row(self, time_ns: int, tick: int | None) -> float | None:
         """Time since the first row [s] by `tick`; None for a repeated tick."""
         assert tick is not None
-        extended = self._extender.update(tick, time_ns).tick
+        extended = self._extender.update(tick, time_ns, time_ns).tick
         if self._first is None:
             self._first = extended
         elif extended == self._last:

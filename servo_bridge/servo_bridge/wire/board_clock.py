@@ -26,55 +26,70 @@ _BRACKET_NS: Final = 100_000
 _STEP_BACK_NS: Final = 1_000_000_000
 
 
+_WRAP: Final = 1 << 32
+
+
 @dataclass(frozen=True)
 class TickReading:
     """Tick extended beyond 32 bits."""
 
     tick: int  # PWM periods since reset
     epoch: int  # number of board resets; ticks of different epochs are not comparable
-    reset: bool  # whether this reading is the first of a new epoch
 
 
 class TickExtender:
-    """Extends a 32-bit tick beyond its wraps and detects resets of the board.
+    """Extends a 32-bit tick beyond its wraps, and compares its advance with the clock of the host.
 
-    Between two readings the tick must advance about as much as the clock of the host. A tick that goes back, leaps or
-    lags far behind means a reset of the board. The bounds are wide, because a virtual board on a busy computer runs
-    unevenly.
+    A clock that disagrees proves nothing: the board may have been reset, the computer suspended, or a virtual board may
+    run slowly. The owner asks the board (`boot_token`) and registers a reset by `restart`.
     """
 
     def __init__(self) -> None:
         self._last: int | None = None
-        self._last_ns = 0
+        self._last_ns = (0, 0)
         self._epoch = 0
 
     def restart(self) -> None:
-        """Register a reset that was detected otherwise: the next reading begins a new epoch."""
+        """Register a reset of the board: the next reading begins a new epoch."""
         self._last = None
         self._epoch += 1
 
-    def update(self, raw: int, host_ns: int) -> TickReading:
-        """Process a reading.
+    def disagreement(self, raw: int, request_ns: int, response_ns: int) -> int:
+        """Smallest error of the clocks that explains a reading [ns]; 0: they agree.
+
+        The board takes the tick between request and response, however late the host processes the response. Within
+        this uncertainty the bounds are wide, because a virtual board on a busy computer runs unevenly.
 
         Parameters
         ----------
         raw : int
             uint32 tick.
-        host_ns : int
-            Arrival, monotonic clock [ns].
+        request_ns, response_ns : int
+            Request and arrival of the reading, monotonic clock [ns].
         """
-        last = self._last
-        tick, reset = raw, False
-        if last is not None:
-            step = (raw - last) & 0xFFFF_FFFF
-            elapsed = host_ns - self._last_ns
-            fastest = elapsed * _FASTEST_BOARD + _SLACK_NS
-            slowest = elapsed * _SLOWEST_BOARD - _SLACK_NS
-            reset = not slowest <= step * PERIOD_NS <= fastest
-            tick = raw if reset else last + step
-        self._epoch += reset
-        self._last, self._last_ns = tick, host_ns
-        return TickReading(tick, self._epoch, reset)
+        if self._last is None:
+            return 0
+        advance = (self._extended(raw, request_ns, response_ns) - self._last) * PERIOD_NS
+        shortest = request_ns - self._last_ns[1]
+        longest = response_ns - self._last_ns[0]
+        fastest = round(longest * _FASTEST_BOARD) + _SLACK_NS
+        slowest = round(shortest * _SLOWEST_BOARD) - _SLACK_NS
+        return max(advance - fastest, slowest - advance, 0)
+
+    def update(self, raw: int, request_ns: int, response_ns: int) -> TickReading:
+        """Process a reading; arguments as in `disagreement`."""
+        self._last = self._extended(raw, request_ns, response_ns)
+        self._last_ns = (request_ns, response_ns)
+        return TickReading(self._last, self._epoch)
+
+    def _extended(self, raw: int, request_ns: int, response_ns: int) -> int:
+        """Tick after the last one, with the number of wraps that agrees best with the clock of the host."""
+        if self._last is None:
+            return raw
+        step = (raw - self._last) % _WRAP
+        elapsed = (request_ns + response_ns - sum(self._last_ns)) // (2 * PERIOD_NS)
+        wraps = max(0, round((elapsed - step) / _WRAP))
+        return self._last + step + wraps * _WRAP
 
 
 class BoardClock:

@@ -28,6 +28,7 @@ from servo_bridge.freemaster.errors import (
 )
 from servo_bridge.freemaster.line import Line
 from servo_bridge.wire.board_clock import TickExtender
+from servo_bridge.wire.boot_token import agreed_boot_token
 from servo_bridge.wire.link_config import TICK, FinalWrite, LinkConfig, Port, WriteResult
 from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
 from servo_bridge.wire.link_state import LinkState, LinkStatus, status_of
@@ -109,6 +110,7 @@ class Link:
         self._queue = JobQueue(config.queue_limit)
         self._statistics = StatisticsCollector()
         self._extender = TickExtender()
+        self._token: int | None = None  # boot token of the previous connection; None: the next one begins an epoch
         self._reader: ScopeReader | None = None
         self._status = LinkStatus(LinkState.DISCONNECTED, "not started")
         self._session: Session | None = None
@@ -296,6 +298,7 @@ class Link:
                     if self._session is None:
                         raise
                     self._statistics.reset_seen()
+                    self._token = None
                     self._lost(error)
         finally:
             self._session = None
@@ -315,7 +318,7 @@ class Link:
             session = connect(client, self._catalogue)
             if session.mismatch is not None:
                 raise session.mismatch
-            reader = ScopeReader(client, self.layout, session.variables, self._extender)
+            reader = self._reader_of(session)
             first = reader.first()
         line.before_request = None  # the final writes must not be interrupted
         self._session, self._reader = session, reader
@@ -331,6 +334,15 @@ class Link:
             line.work_off()
         self._write_last(client)
         raise _StopError
+
+    def _reader_of(self, session: Session) -> ScopeReader:
+        """Reader of a new connection; registers a reset of the board since the previous one."""
+        token, before = agreed_boot_token(session), self._token
+        if before is not None and token != before:
+            self._extender.restart()
+            self._statistics.reset_seen()
+        self._token = token
+        return ScopeReader(session, self.layout, self._extender, token, self._statistics.clocks_disagree)
 
     def _loop(self, client: Client, reader: ScopeReader) -> None:
         """Alternate between one job and one sample until the owner requests a stop.

@@ -34,6 +34,8 @@ class LinkStatistics:
     round_trip_max: float = 0.0  # maximum of that time [s]
     writes: int = 0  # acknowledged writes
     waiting: int = 0  # jobs in the queue
+    clock_disagreements: int = 0  # samples whose tick disagreed with the host clock, although the board was not reset
+    clock_disagreement_max: float = 0.0  # largest disagreement, beyond what is normal [s]
 
 
 class StatisticsCollector:
@@ -48,6 +50,8 @@ class StatisticsCollector:
         self._connections = 0
         self._resets = 0
         self._writes = 0
+        self._disagreements = 0
+        self._disagreement_ns = 0
 
     @property
     def counters(self) -> ClientStatistics:
@@ -64,6 +68,12 @@ class StatisticsCollector:
         """Count a reset of the board."""
         with self._lock:
             self._resets += 1
+
+    def clocks_disagree(self, disagreement_ns: int) -> None:
+        """Count a disagreement of the clocks of board and host [ns]."""
+        with self._lock:
+            self._disagreements += 1
+            self._disagreement_ns = max(self._disagreement_ns, disagreement_ns)
 
     def wrote(self) -> None:
         """Count an acknowledged write."""
@@ -101,7 +111,7 @@ class StatisticsCollector:
                 self._samples, self._connections, self._resets, *rates,
                 c.timeouts, c.crc_errors, c.damaged, c.retries, c.refused, c.stray_bytes,
                 _percentile(trips, 50), _percentile(trips, 99), _percentile(trips, 100),
-                self._writes, waiting,
+                self._writes, waiting, self._disagreements, self._disagreement_ns * 1e-9,
             )  # fmt: skip
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from typing import Final
 
-from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import ScopeSlot
 from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
+from servo_bridge.freemaster.line import Exchange
 from servo_bridge.wire.board_clock import TickExtender
+from servo_bridge.wire.boot_token import read_boot_token
 from servo_bridge.wire.scope import Sample, ScopeLayout
-from servo_bridge.wire.session import BoardVariable
+from servo_bridge.wire.session import Session
 
 _STANDSTILL_NS: Final = 1_000_000_000
 
@@ -26,25 +27,39 @@ class BoardStoppedError(FreemasterError):
 class ScopeReader:
     """Reads the telemetry of one connection.
 
+    A reset of the board removes the set-up of its scope, so every sample proves that there was none. If the clocks of
+    board and host disagree, the reader also compares the token of the board.
+
     Parameters
     ----------
-    client : Client
-        Client of the board.
+    session : Session
+        Session with the board.
     layout : ScopeLayout
         Variables of a sample; the first is the tick.
-    variables : mapping
-        Variables of the board.
     extender : TickExtender
-        Survives the connection, so that a reset in between is detected.
+        Survives the connection; restarted by the owner if the board was reset in between.
+    token : int
+        Boot token of the board at the connection; 0: it has none, then a disagreement of the clocks since the previous
+        connection counts as a reset.
+    on_disagreement : callable
+        Called with the smallest error of the clocks [ns] if they disagree although the board was not reset.
     """
 
     def __init__(
-        self, client: Client, layout: ScopeLayout, variables: Mapping[str, BoardVariable], extender: TickExtender
+        self,
+        session: Session,
+        layout: ScopeLayout,
+        extender: TickExtender,
+        token: int,
+        on_disagreement: Callable[[int], None] = lambda _: None,
     ) -> None:
-        self._client = client
+        self._session = session
         self._layout = layout
         self._extender = extender
-        self._request = client.set_scope([ScopeSlot(variables[v.name].address, v.size) for v in layout.variables])
+        self._token = token
+        self._on_disagreement = on_disagreement
+        slots = [ScopeSlot(session.variables[v.name].address, v.size) for v in layout.variables]
+        self._request = session.client.set_scope(slots)
         self._last: Sample | None = None
 
     @property
@@ -57,8 +72,8 @@ class ScopeReader:
 
         Raises
         ------
-        BoardStoppedError
-            If it does not advance within a second.
+        BoardResetError, BoardStoppedError
+            If the board was reset, or its clock does not advance within a second.
         """
         self._last = self._read(None)
         while True:
@@ -72,12 +87,10 @@ class ScopeReader:
         Raises
         ------
         BoardResetError, BoardStoppedError
-            If the clock of the board was restarted, or stands still.
+            If the board was reset, or its clock stands still.
         """
         assert self._last is not None
         sample = self._read(retries)
-        if sample.epoch != self._last.epoch:
-            raise BoardResetError("the board was reset: its clock started again")
         if sample.tick != self._last.tick:
             self._last = sample
             return sample
@@ -86,14 +99,37 @@ class ScopeReader:
         return None
 
     def _read(self, retries: int | None) -> Sample:
+        exchange = self._exchange(retries)
+        if self._disagreement(exchange):
+            exchange = self._examined(exchange)
+        raw = self._layout.raw(exchange.data)
+        reading = self._extender.update(raw[0], exchange.request_ns, exchange.response_ns)
+        times = (exchange.request_ns, exchange.response_ns)
+        return Sample(reading.tick, reading.epoch, *times, exchange.data, raw, self._layout)
+
+    def _exchange(self, retries: int | None) -> Exchange:
         try:
-            exchange = self._client.exchange(self._request, retries=retries)
+            return self._session.client.exchange(self._request, retries=retries)
         except StatusError as error:
             if error.code != Status.NOT_INITIALISED:
                 raise
             self._extender.restart()
             raise BoardResetError("the board was reset: its telemetry is no longer set up") from error
-        raw = self._layout.raw(exchange.data)
-        reading = self._extender.update(raw[0], exchange.response_ns)
-        times = (exchange.request_ns, exchange.response_ns)
-        return Sample(reading.tick, reading.epoch, *times, exchange.data, raw, self._layout)
+
+    def _disagreement(self, exchange: Exchange) -> int:
+        (raw, *_) = self._layout.raw(exchange.data)
+        return self._extender.disagreement(raw, exchange.request_ns, exchange.response_ns)
+
+    def _examined(self, exchange: Exchange) -> Exchange:
+        """Sample to be used instead of one whose clock disagrees."""
+        if self._last is None and not self._token:
+            self._extender.restart()
+            return exchange
+        if read_boot_token(self._session) != self._token:
+            self._extender.restart()
+            raise BoardResetError("the board was reset: it has lost the token of this connection")
+        repeated = self._exchange(None)  # a sample that was damaged on the line is discarded
+        disagreement = self._disagreement(repeated)
+        if disagreement:
+            self._on_disagreement(disagreement)
+        return repeated
