@@ -15,6 +15,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Variable
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.units import unwrap_u32
 
+from servo_bridge.admission import JOIN_SPEED, SETTLING, Place
 from servo_bridge.set_point_queue import TARGETS, SetPointQueue, Target
 from servo_bridge.set_point_sources import Source, Sources
 from servo_bridge.set_points import Mode, NotReady, Rejected, SetPointRequest
@@ -35,6 +36,7 @@ class AxisStatus:
     faulted: bool = False  # state FAULT
     position: int = 0  # of the shaft [counts], extended beyond the 32 bits of the board
     position_ref: int | None = None  # position set-point, extended [counts]; None: not in the telemetry
+    speed: float = 0.0  # of the shaft [rad/s]
 
 
 class Arbiter:
@@ -74,7 +76,7 @@ class Arbiter:
         self._axes = list(axes)
         for axis, status in enumerate(axes):
             if not status.accepts_set_points:
-                self.queue.drop(axis, f"{self._joints[axis]} is in {status.label}")
+                self.release_axis(axis, f"{self._joints[axis]} is in {status.label}")
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
         """Set the nominal torque per ampere of i_q of every axis [N m/A]."""
@@ -85,6 +87,8 @@ class Arbiter:
         self._link = reason
         if self._axes is not None:
             self.block("the link to the board was lost")
+        for axis in range(AXES):
+            self.sources.release(axis)
         self.queue.link_lost()
         self._axes = None
         self._torque_constants = None
@@ -99,7 +103,12 @@ class Arbiter:
         """Refuse set-points from now on and discard the pending ones."""
         self._blocked = reason
         for axis in range(AXES):
-            self.queue.drop(axis, reason)
+            self.release_axis(axis, reason)
+
+    def release_axis(self, axis: int, reason: str) -> None:
+        """Discard the pending set-points and the path of an axis; a source must join it again (see `admission`)."""
+        self.sources.release(axis)
+        self.queue.drop(axis, reason)
 
     @property
     def armed(self) -> bool:
@@ -121,15 +130,41 @@ class Arbiter:
         Rejected
             If any part of a request is refused; then nothing is changed.
         """
+        targets = self.check(*requests)
+        for request in requests:
+            self._claim(Source(request.source, _QUANTITY[request.mode][0]), request.values)
+        for axis, (source, target) in targets.items():
+            self.queue.put(axis, target, f"a set-point on {source} took over")
+
+    def check(self, *requests: SetPointRequest) -> dict[int, tuple[str, Target]]:
+        """Check requests as `submit`, without an effect.
+
+        Returns
+        -------
+        dict of int to (str, Target)
+            By axis: source and set-point.
+
+        Raises
+        ------
+        Rejected
+            If any part of a request is refused.
+        """
         targets: dict[int, tuple[str, Target]] = {}
         for request in requests:
             self.check_ready(request.source, request.values)
             for axis in request.values:
                 targets[axis] = request.source, Target(request.mode, self._raw(request, axis))
-        for request in requests:
-            self._claim(Source(request.source, _QUANTITY[request.mode][0]), request.values)
-        for axis, (source, target) in targets.items():
-            self.queue.put(axis, target, f"a set-point on {source} took over")
+        return targets
+
+    def place(self, topic: str, axis: int, *, streaming: bool) -> Place:
+        """State of an axis that a set-point of a topic wants to join; after `check_ready`."""
+        assert self._axes is not None
+        status, joint = self._axes[axis], self.joints[axis]
+        position = joint.position(status.position * self._variables[Mode.POSITION].lsb)
+        velocity, holder = joint.velocity(status.speed), self.sources.holder(axis)
+        moves = axis in self.queue.following or self.sources.age(axis) < SETTLING or abs(velocity) > JOIN_SPEED
+        other = holder.topic if holder is not None and holder.topic != topic and moves else ""
+        return Place(joint.name, position, velocity, holder, other, streaming)
 
     def admit(self, source: str, axes: Iterable[int]) -> None:
         """Check that some axes may follow a path; as `submit`, without values.
@@ -168,7 +203,8 @@ class Arbiter:
             if not status.accepts_set_points:
                 raise NotReady(
                     f"{source}: {joint} is in {status.label}, not in RUN/SPIN; call the service enable with "
-                    "data: true and wait until armed is true"
+                    "data: true and wait until armed is true",
+                    kind="not in RUN/SPIN",
                 )
 
     # ---- details

@@ -11,7 +11,7 @@ from servo_bridge.arbiter import Arbiter
 from servo_bridge.health import CommandFigures
 from servo_bridge.set_point_sources import Source
 from servo_bridge.set_points import Rejected
-from servo_bridge.throttle import Throttle
+from servo_bridge.throttle import Repetitions, Throttle
 from servo_bridge.trajectory.check import Limits
 
 
@@ -30,8 +30,8 @@ class CommandContext:
         Present limits of every joint; None if the board has not reported them yet.
     accepted : callable
         Called after every accepted set-point.
-    warn : callable
-        Receives messages for the log.
+    info, warn : callable
+        Receive messages for the log.
     """
 
     def __init__(
@@ -41,6 +41,7 @@ class CommandContext:
         arbiter: Arbiter,
         limits: Callable[[], Sequence[Limits] | None],
         accepted: Callable[[], None],
+        info: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
         self.node = node
@@ -49,8 +50,10 @@ class CommandContext:
         self.limits = limits
         self.figures = CommandFigures()
         self._accepted = accepted
+        self._info = info
         self._warn = warn
         self._throttle = Throttle(burst=20, rate=2.0)
+        self._repetitions = Repetitions(pause=1.0)
         self._conflicts = Throttle(burst=1, rate=0.2)
 
     def accept(self) -> None:
@@ -72,16 +75,29 @@ class CommandContext:
             "precedence with the parameter preferred_source"
         )
 
+    def report_repetitions(self) -> None:
+        """Log the number of repeated rejections that have ended; called once a second."""
+        for one in self._repetitions.ended(time.monotonic()):
+            if one.count > 1:
+                self._info(f"{one.count} set-points were rejected within {one.end - one.begin:.1f} s: {one.text}")
+
     def _named(self, source: Source) -> str:
         """Text of a source, with the nodes that publish on its topic."""
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(source.topic))
         nodes = sorted({f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found})
         return f"{source.quantity} on {source.topic} ({' or '.join(nodes) or 'publisher unknown'})"
 
-    def reject(self, source: str, error: Rejected) -> None:
-        """Count a rejected set-point and log the reason."""
+    def reject(self, source: str, error: Rejected, *, repeats: bool = False) -> None:
+        """Count a rejected set-point and log the reason; `repeats`: once for those of one kind that follow each other.
+
+        Their number is logged by `report_repetitions`.
+        """
         self.figures.rejected += 1
         self.figures.last_rejection = str(error)
+        if repeats and error.kind:
+            if self._repetitions.admit((source, error.kind), time.monotonic(), str(error)):
+                self._warn(f"rejected, no motion: {error}")
+            return
         held = self._throttle.admit(source, time.monotonic())
         if held is not None:
             more = f" ({held} more rejections before this one)" if held else ""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 
 from sensor_msgs.msg import JointState
-from servo_msgs_py.answers import Answer, Phase
+from servo_msgs_py.answers import TICKET, Answer, Phase
 from servo_msgs_py.runtime.qos import command_qos
 
+from servo_bridge.admission import GAP, Admission, NotJoined, Place
 from servo_bridge.answers import Answers
 from servo_bridge.command_context import CommandContext
-from servo_bridge.set_points import REPEAT_PAUSE, NotReady, Rejected, RepeatedSetPoints, from_joint_command, requests_of
+from servo_bridge.set_points import JointSetPoint, Rejected, from_joint_command, requests_of
 from servo_bridge.trajectory.streamer import Streamer, require_within
 from servo_msgs_py import topics
 
@@ -53,66 +55,117 @@ class JointCommands:
         self._interfaces = interfaces
         self._offset_ns = offset_ns
         self._wall_ns = wall_ns
-        self._repeats = RepeatedSetPoints()
+        self._admission = Admission(_SOURCE)
         context.node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
 
     def advance(self) -> None:
-        """Send the due points of the streams."""
-        now = self._board_time(time.monotonic_ns())
+        """Execute the set-points that are due; called after every sample."""
+        now_ns = time.monotonic_ns()
+        due = self._admission.advance(now_ns * 1e-9)
+        for axis in list(due):
+            holder = self._context.arbiter.sources.holder(axis)
+            if holder is not None and holder.topic != _SOURCE and self._context.arbiter.sources.age(axis) < GAP:
+                joint, newer = self._context.joints[axis], holder.topic
+                self._context.reject(_SOURCE, Rejected(f"{_SOURCE}: {joint}: a set-point on {newer} was newer"))
+                del due[axis]
+        if due:
+            self._take(lambda: self._submit(due))
+        now = self._board_time(now_ns)
         if now is not None:
             self._streamer.advance(now)
 
     def _on_command(self, message: JointState) -> None:
-        try:
-            moves = self._request(message, time.monotonic_ns())
-        except Rejected as error:
-            self._context.reject(_SOURCE, error)
-            self._answers.publish(Answer(message.header.frame_id, _SOURCE, Phase.REFUSED, str(error)))
-        else:
-            if moves:
-                self._context.accept()
-                self._answers.publish(Answer(message.header.frame_id, _SOURCE, Phase.ACCEPTED))
+        self._take(lambda: self._request(message, time.monotonic_ns()), message.header.frame_id)
 
-    def _request(self, message: JointState, now_ns: int) -> bool:
-        """Execute a message; returns False if it has no set-point."""
+    def _take(self, execute: Callable[[], Rejected | None], ticket: str = "") -> None:
+        """Execute and count set-points; `execute` returns the refusal of some of the joints, if any."""
+        refused: Rejected | None
+        try:
+            refused = execute()
+        except Rejected as error:
+            refused = error
+        if refused is not None:
+            self._context.reject(_SOURCE, refused, repeats=not ticket.startswith(TICKET))
+            self._answers.publish(Answer(ticket, _SOURCE, Phase.REFUSED, str(refused)))
+        else:
+            self._answers.publish(Answer(ticket, _SOURCE, Phase.ACCEPTED))
+
+    def _request(self, message: JointState, now_ns: int) -> NotJoined | None:
+        """Execute a message; returns the refusal of some joints."""
         context = self._context
         arrays = {"position": message.position, "velocity": message.velocity, "effort": message.effort}
         points = from_joint_command(_SOURCE, context.joints, message.name, arrays, self._interfaces)
         if not points:
-            return False
+            return None
+        arrival = self._board_time(now_ns)
+        stamp = self._stamp(message, now_ns)
         try:
             context.arbiter.check_ready(_SOURCE, points)
-        except NotReady:
-            self._repeats.refused(now_ns * 1e-9, points)
+            places = {
+                axis: context.arbiter.place(_SOURCE, axis, streaming=self._streamer.streams(axis)) for axis in points
+            }
+            points = {axis: self._unwrapped(axis, point, places[axis]) for axis, point in points.items()}
+            self._check(points)
+        except Rejected:
+            self._admission.observe(points, stamp)
             raise
-        points = self._repeats.without_repeats(now_ns * 1e-9, points)
-        if not points:
-            raise Rejected(
-                f"{_SOURCE}: repeats a set-point from before the axes were enabled; it is accepted when it changes, or"
-                f" after a pause of {REPEAT_PAUSE:g} s"
-            )
+        ticket = message.header.frame_id
+        command = ticket.startswith(TICKET) and not self._answers.known(ticket)
+        admitted = self._admission.decide(points, stamp, places, command=command)
+        if admitted.stop:
+            context.arbiter.queue.halt(admitted.stop, f"contradictory set-points on {_SOURCE} stopped it")
+        if admitted.points:
+            self._submit(admitted.points, stamp, arrival)
+        return next(iter(admitted.refused), None)
+
+    def _check(self, points: Mapping[int, JointSetPoint]) -> None:
+        """Check the values of set-points.
+
+        Raises
+        ------
+        Rejected
+            If a value exceeds its limit.
+        """
+        context = self._context
+        context.arbiter.check(*requests_of(_SOURCE, points))
         streamed = {axis: point for axis, point in points.items() if point.streamed}
         if not streamed:
-            context.arbiter.submit(*requests_of(_SOURCE, points))
-            return True
-        limits, arrival = context.limits(), self._board_time(now_ns)
-        if limits is None or arrival is None:
+            return
+        limits = context.limits()
+        if limits is None:
             raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in 1 s")
         for axis, point in streamed.items():
             require_within(_SOURCE, context.joints[axis], point, limits[axis])
+
+    def _submit(self, points: Mapping[int, JointSetPoint], stamp: float = 0.0, arrival: float | None = None) -> None:
+        """Execute admitted set-points; `stamp` and `arrival` of a path [s of board time]."""
+        context = self._context
+        streamed = {axis: point for axis, point in points.items() if point.streamed}
         context.arbiter.submit(*requests_of(_SOURCE, points))
-        context.arbiter.admit(_SOURCE, streamed)
-        self._streamer.take(streamed, self._stamp(message, arrival), arrival, limits)
-        self._streamer.advance(arrival)
-        return True
+        if streamed:
+            limits = context.limits()
+            assert limits is not None
+            assert arrival is not None
+            context.arbiter.admit(_SOURCE, streamed)
+            self._streamer.take(streamed, stamp, arrival, limits)
+            self._streamer.advance(arrival)
+        context.accept()
+
+    def _unwrapped(self, axis: int, point: JointSetPoint, place: Place) -> JointSetPoint:
+        """Set-point with the angle of a joint that wraps by the shortest way from its stream, or from the joint."""
+        if point.position is None:
+            return point
+        joint = self._context.arbiter.joints[axis]
+        streamed = self._admission.streamed(axis) if place.streaming else None
+        return replace(point, position=joint.nearest(point.position, place.position if streamed is None else streamed))
 
     def _board_time(self, now_ns: int) -> float | None:
         offset = self._offset_ns()
         return None if offset is None else (now_ns - offset) * 1e-9
 
-    def _stamp(self, message: JointState, arrival: float) -> float:
+    def _stamp(self, message: JointState, now_ns: int) -> float:
         """Time stamp of the message in the time of the board [s]; without a stamp, the arrival."""
+        offset = self._offset_ns() or 0.0
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-        offset = self._offset_ns()
-        return (stamp_ns - self._wall_ns(round(offset))) * 1e-9 if stamp_ns and offset is not None else arrival
+        return ((stamp_ns - self._wall_ns(round(offset))) if stamp_ns else (now_ns - offset)) * 1e-9

@@ -6,6 +6,7 @@ message, so all publishers of one topic and quantity are one source.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
@@ -48,6 +49,7 @@ class Sources:
         """Topic with precedence: while it is active, other topics are refused for the same axis. Empty: none."""
         self._clock = clock
         self._seen: dict[int, dict[Source, float]] = {}  # the newest last
+        self._holders: dict[int, tuple[Source, float]] = {}  # last source of each axis, and its time [s]
         self._conflict: tuple[float, Conflict] | None = None
 
     def conflict(self) -> Conflict | None:
@@ -93,6 +95,19 @@ class Sources:
             sources.pop(source, None)
             sources[source] = now
             self._seen[axis] = sources
+            self._holders[axis] = source, now
+
+    def holder(self, axis: int) -> Source | None:
+        """Source that has commanded an axis last, since it was released; None: none."""
+        return self._holders[axis][0] if axis in self._holders else None
+
+    def age(self, axis: int) -> float:
+        """Time since the last command of the holder of an axis [s]; infinite without one."""
+        return self._clock() - self._holders[axis][1] if axis in self._holders else math.inf
+
+    def release(self, axis: int) -> None:
+        """Register that an axis has been stopped otherwise: a source must be admitted again."""
+        self._holders.pop(axis, None)
 
     def _active(self, axis: int, now: float, following: bool) -> dict[Source, float]:
         seen = self._seen.get(axis, {})

@@ -10,15 +10,21 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
 
 
 class Rejected(ValueError):
     """A command was refused; the text has the error, its location and a remedy."""
 
+    kind = ""
+    """Refusals of the same kind that follow each other are logged once; empty: each one."""
+
 
 class NotReady(Rejected):
     """The axes do not accept set-points at present."""
+
+    def __init__(self, text: str, kind: str = "") -> None:
+        super().__init__(text)
+        self.kind = kind or text
 
 
 class Mode(IntEnum):
@@ -131,38 +137,6 @@ def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[SetPoi
         if values:
             result.append(SetPointRequest(source, mode, values))
     return result
-
-
-REPEAT_PAUSE: Final = 1.0
-"""Pause after which a repeated set-point counts as a new one [s]."""
-
-
-class RepeatedSetPoints:
-    """Refuses position set-points that repeat one sent before the axes were enabled.
-
-    Some senders publish a position continuously, also before they have a target. Enabling must not move a shaft there:
-    such a set-point is refused until it changes or the sender has paused. Velocity and effort set-points are not
-    affected.
-    """
-
-    def __init__(self) -> None:
-        self._refused: dict[int, tuple[float, JointSetPoint]] = {}
-
-    def refused(self, time: float, points: Mapping[int, JointSetPoint]) -> None:
-        """Record set-points refused while the axes were not ready, at `time` [s]."""
-        self._refused.update({axis: (time, point) for axis, point in points.items() if point.position is not None})
-
-    def without_repeats(self, time: float, points: Mapping[int, JointSetPoint]) -> dict[int, JointSetPoint]:
-        """Return the set-points at `time` [s] that are not repetitions."""
-        result = {}
-        for axis, point in points.items():
-            before, refused = self._refused.get(axis, (time, None))
-            if point == refused and time - before < REPEAT_PAUSE:
-                self._refused[axis] = time, point
-            else:
-                self._refused.pop(axis, None)
-                result[axis] = point
-        return result
 
 
 def from_array(source: str, joints: Sequence[str], data: Sequence[float]) -> SetPointRequest:

@@ -144,7 +144,7 @@ class Supervisor:
         self._diagnostics = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
         self._health = Health(self._catalogue, full_name(node), settings.port, self._joints)
         self._commands = CommandContext(
-            node, self._joints, self._arbiter, self._path_limits, self._dispatcher.pump, self._warn
+            node, self._joints, self._arbiter, self._path_limits, self._dispatcher.pump, self._info, self._warn
         )
         self._set_points = SetPointTopics(self._commands)
         self._follower = Follower(self._catalogue, settings.joints, self._check_path)
@@ -187,7 +187,7 @@ class Supervisor:
             settings.restore_positions,
             self._arbiter,
             self._dispatcher,
-            moved=self._telemetry.restart_position,
+            moved=self._position_moved,
         )
         self._records = RecordService(
             self._context,
@@ -306,6 +306,11 @@ class Supervisor:
         urgent = write.variable in _URGENT
         written = self._link.write_raw(write.variable, write.raw, first=write.first, urgent=urgent)
         self._context.when_done(written, done)
+
+    def _position_moved(self, axis: int) -> None:
+        """The position of an axis has another reference: earlier set-points of a stream have another meaning."""
+        self._telemetry.restart_position(axis)
+        self._arbiter.release_axis(axis, f"the position of {self._joints[axis]} was set")
 
     def _log_refusal(self) -> None:
         """Log the reason of the board for the refusal of timed points."""
@@ -495,6 +500,7 @@ class Supervisor:
         if self._ended:
             return  # the timer was already due at the end
         self._wall.refresh()
+        self._commands.report_repetitions()
         health, snapshot = self._health, self._snapshot
         statuses = [
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),

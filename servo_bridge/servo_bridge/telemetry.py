@@ -69,6 +69,7 @@ class _AxisColumns:
 
     position: int
     position_ref: int | None
+    speed: int
     state: int
     substate: int
     faults: int
@@ -94,6 +95,7 @@ class Telemetry:
             _AxisColumns(
                 where[f"{prefix}.position"],
                 where.get(f"{prefix}.position_ref"),
+                where[f"{prefix}.speed"],
                 where[f"{prefix}.state"],
                 where[f"{prefix}.substate"],
                 where[f"{prefix}.faults"],
@@ -127,7 +129,7 @@ class Telemetry:
                 row[at.position_ref] = reference * self._lsb
             label = self._label(raw[at.state], raw[at.substate])
             ready = label in _READY_STATES or self._waits_in_ready(axis, label, sample.tick)
-            axes.append(AxisStatus(label, ready, label == "FAULT", counts, reference))
+            axes.append(AxisStatus(label, ready, label == "FAULT", counts, reference, row[at.speed]))
         return Snapshot(
             sample.tick,
             sample.epoch,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+from dataclasses import dataclass
+
 
 class Throttle:
     """Token bucket for each key.
@@ -41,3 +44,42 @@ class Throttle:
             return None
         self._buckets[key] = (tokens - 1.0, now, 0)
         return held
+
+
+@dataclass
+class Repetition:
+    """Equal events that follow each other."""
+
+    text: str  # of the first one
+    begin: float  # time of the first one [s]
+    end: float  # time of the newest one [s]
+    count: int = 1
+
+
+class Repetitions:
+    """Reports the first of equal events, and their number when they have ended.
+
+    Parameters
+    ----------
+    pause : float
+        Time without an event that ends them [s].
+    """
+
+    def __init__(self, pause: float) -> None:
+        self._pause = pause
+        self._running: dict[Hashable, Repetition] = {}
+
+    def admit(self, key: Hashable, now: float, text: str) -> bool:
+        """Count an event at a time [s]; returns whether it is the first one of its kind."""
+        running = self._running.get(key)
+        if running is None or now - running.end > self._pause:
+            self._running[key] = Repetition(text, now, now)
+            return True
+        running.count += 1
+        running.end = now
+        return False
+
+    def ended(self, now: float) -> list[Repetition]:
+        """Remove and return the events that have ended before a time [s]."""
+        ended = [key for key, one in self._running.items() if now - one.end > self._pause]
+        return [self._running.pop(key) for key in ended]

@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from servo_bridge.admission import Place
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_point_sources import Conflict, Source, Sources
@@ -499,3 +500,34 @@ def test_a_preferred_trajectory_is_not_interrupted_before_its_end() -> None:
 def test_the_remedy_for_an_effort_names_the_limit_that_binds(limit: float, value: float, remedy: str) -> None:
     subject = arbiter(limits=JointLimits(effort_max=limit))
     assert remedy in refused(subject, request({0: value}, Mode.TORQUE))
+
+
+# ---- state of a joint for a source that wants to join it
+def test_place_names_the_source_that_moves_the_joint() -> None:
+    subject, _, clock = watched()
+    moving = AxisStatus("RUN/SPIN", accepts_set_points=True, position=4000, speed=30.0)
+    assert subject.place("joint_commands", 0, streaming=False) == Place("axis1", 0.0, 0.0, None, "", streaming=False)
+    subject.submit(request({0: 1.0}, source="commands"))
+    assert subject.place("joint_commands", 0, streaming=False).moved_by == "commands"
+    assert subject.place("commands", 0, streaming=False).moved_by == ""
+    clock.now += 1.0
+    place = subject.place("joint_commands", 0, streaming=False)
+    assert (place.holder, place.moved_by) == (Source("commands", "position"), "")
+    subject.update_axes((moving, SPINNING))
+    place = subject.place("joint_commands", 0, streaming=False)
+    assert place.position == pytest.approx(math.tau)
+    assert (place.velocity, place.moved_by) == (30.0, "commands")
+
+
+@pytest.mark.parametrize("event", ["block", "link_lost", "not_ready"])
+def test_joints_are_released_by_stops_faults_and_a_lost_link(event: str) -> None:
+    subject, sources, _ = watched()
+    subject.submit(request({0: 1.0, 1: 1.0}))
+    if event == "block":
+        subject.block("stopped")
+    elif event == "link_lost":
+        subject.link_lost("gone")
+    else:
+        subject.update_axes((FAULTED, SPINNING))
+    assert sources.holder(0) is None
+    assert (sources.holder(1) is None) is (event != "not_ready")

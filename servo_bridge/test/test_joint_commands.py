@@ -10,10 +10,12 @@ from itertools import pairwise
 import pytest
 from bridge_rig import SPIN, Rig
 from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.timed_points import TimedPoint, decode_points
 from servo_msgs_py.units import PERIOD_NS
+from std_msgs.msg import Float64
 
 from servo_msgs_py import topics
 
@@ -155,3 +157,45 @@ def test_set_points_repeated_from_before_enable_are_refused_until_they_change(ri
     rig.until(lambda: rig.diagnosis("commands").level == DiagnosticStatus.WARN)
     send(rig, [0.0, 0.5])
     assert until_written(rig, "cmd.position") == [(1, 1)]
+
+
+def place(rig: Rig, *positions: float) -> None:
+    """Put the shafts of the fake board at positions [rad], and deliver a sample."""
+    lsb = CATALOGUE["axis1.position"].lsb
+    for axis, position in enumerate(positions, 1):
+        for name in ("position", "position_ref"):
+            rig.link.values[f"axis{axis}.{name}"] = round(position / lsb)
+    sample(rig)
+    rig.executor.spin_once(timeout_sec=0.0)
+
+
+@pytest.mark.parametrize("velocity", [None, [0.0, 0.0]])
+def test_controllers_that_repeat_old_positions_move_nothing_and_are_logged_once(
+    ready: Rig, velocity: list[float] | None
+) -> None:
+    place(ready, 5.0, -3.0)
+    for _ in range(60):
+        send(ready, [0.0, 0.0], velocity)
+    assert ready.link.written == []
+    ready.until(ready.rejections)
+    first, *more = ready.rejections()
+    assert "axis1: the joint is at 5 rad, 5 rad from the set-point 0 rad" in first
+    assert not more
+    end = time.monotonic() + 1.1
+    ready.until(lambda: time.monotonic() > end)
+    ready.diagnosis("commands")
+    ready.until(lambda: any("set-points were rejected within" in text for text in ready.logs(Log.INFO)))
+    # The path of a controller that begins at the joints is followed.
+    for k in range(60):
+        send(ready, [5.0 + 0.01 * k, -3.0], [1.0, 0.0], stamp=5000.0 + 0.01 * k)
+    assert max(point.velocity for point in points(ready)) > 0.9
+    assert {point.axis for point in points(ready)} == {0, 1}
+
+
+def test_a_single_position_is_executed_and_a_newer_one_of_another_topic_replaces_it(ready: Rig) -> None:
+    send(ready, [1.0, 1.0])
+    ready.position.publish(Float64(data=2.0))
+    assert until_written(ready, "cmd.position") == [(1, 1)]
+    ready.link.written.clear()
+    assert until_written(ready, "cmd.position") == [(0, 1)]
+    ready.until(lambda: any("axis2: a set-point on axis2/position was newer" in text for text in ready.rejections()))

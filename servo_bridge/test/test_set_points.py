@@ -10,7 +10,6 @@ from servo_bridge.set_points import (
     JointSetPoint,
     Mode,
     Rejected,
-    RepeatedSetPoints,
     from_array,
     from_joint_command,
     from_single,
@@ -65,25 +64,6 @@ def test_arrays_may_have_values_of_some_joints() -> None:
     assert points == {0: JointSetPoint(1.0), 1: JointSetPoint(None, 5.0)}
     with pytest.raises(Rejected, match="position has 2 values for 1 names"):
         joint_command(["axis1", "axis2"], interfaces, position=[1.0, 2.0])
-
-
-def test_set_points_repeated_from_before_enable_are_ignored() -> None:
-    repeats = RepeatedSetPoints()
-    zero, one = {0: JointSetPoint(0.0), 1: JointSetPoint(0.0, 0.0)}, {0: JointSetPoint(0.0), 1: JointSetPoint(1.0, 0.0)}
-    assert repeats.without_repeats(0.0, zero) == zero
-    repeats.refused(1.0, zero)
-    for k in range(30):
-        assert repeats.without_repeats(1.1 + 0.1 * k, zero) == {}
-    assert repeats.without_repeats(4.1, one) == {1: JointSetPoint(1.0, 0.0)}
-    assert repeats.without_repeats(4.2, zero) == {1: JointSetPoint(0.0, 0.0)}
-    assert repeats.without_repeats(5.2, zero) == zero, "accepted after a pause"
-
-
-def test_constant_velocity_is_accepted_after_enable() -> None:
-    repeats = RepeatedSetPoints()
-    held = {0: JointSetPoint(velocity=50.0)}
-    repeats.refused(1.0, held)
-    assert repeats.without_repeats(1.1, held) == held
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,11 @@ class Streamer:
         if new:
             self._request_axes()
 
+    def streams(self, axis: int) -> bool:
+        """Whether an axis follows a stream, or will begin to."""
+        self._remove_replaced()
+        return axis in self._streams
+
     def advance(self, now: float) -> None:
         """Pass the points on that are due at a time [s]."""
         self._lead = max(self._lead_min, self._lead - _LEAD_DECAY * min(max(now - self._advanced, 0.0), 1.0))
