@@ -68,11 +68,11 @@ def tune(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]]:
 
 
 def tune_or_refuse(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]] | str:
-    """Tuned constants, or the text of the refusal."""
+    """Tuned constants, or the refusal without its remedies (`test_config_remedies.py`), whose search takes time."""
     try:
         return tune(whole)
     except ConfigError as refusal:
-        return str(refusal)
+        return refusal.fact
 
 
 def fill(config: Any, constants: AxisConstants) -> None:
@@ -120,7 +120,6 @@ def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, flo
     outcome = tune_or_refuse(with_motor(motor))
     if isinstance(outcome, str):
         assert outcome.startswith("axis1"), outcome
-        assert "; " in outcome, "the refusal contains a remedy"
         return
     configuration, axes = outcome
     config = core.ffi.new("servo_config_t *")

@@ -167,10 +167,10 @@ TOGETHER = [
     # limits beyond the full scales of the contract
     case("axis1.limits.current = 9", "0.1 .. 4 A"),
     case("axis1.limits.current = 4.5", "param.i_q_limit"),
-    case("axis1.rotor_search.current = 4.5", "write 4 A or less"),
+    case("axis1.rotor_search.current = 4.5", "write 4 or less"),
     case(
         "axis1.rotor_search.current (in [defaults.rotor_search]) = 4",
-        "above the current limit of 1 A (limits.current); write 1 A or less",
+        "above the current limit of 1 A (limits.current); write 1 or less",
         axis1__limits__current=1.0,
     ),
     case("axis1.limits.speed = 600", "0.1 .. 419 rad/s"),
@@ -228,13 +228,17 @@ TOGETHER = [
     ),
     case("axis1: current controller d Kp Ki Ts = 133.", "gain_t", axis1__motor__r_s=1000.0),
     case("axis1.control.position_gain = 1e-05", "vanish"),
-    case("axis1: slope of sensing.sign_current", "raise", axis1__sensing__sign_current=0.06),
+    case(
+        "axis1: slope of sensing.sign_current",
+        "write axis1.sensing.sign_current = 0.0645 or more",
+        axis1__sensing__sign_current=0.06,
+    ),
     case("axis1: omega_n Ts", "E40", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
     case("board.timer_clock: speed per count and clock", "32 bits", board__timer_clock=1.1e7),
     case("axis1.rotor_search.ramp_time: current", "frac32_t", axis1__rotor_search__ramp_time=1e-4),
     # times
     case("axis1.timing.stall_max = 32.7675", "65534"),
-    case("axis1.timing.stall_max = 40", "0.0005 .. 32.767"),
+    case("axis1.timing.stall_max = 40", "write 32.7 or less"),
     case("axis1.timing.settle = 0.0001", "vanish"),
     case("board.host_timeout = 60", "0.05 .. 30 s"),
     case("board.command_timeout = 60", "0 .. 30 s"),
@@ -245,7 +249,7 @@ TOGETHER = [
     case("board.brake.on_voltage = 28", "not above", **FITTED, board__brake__off_voltage=28.0),
     case("board.brake.off_voltage = 24", "nominal", **FITTED),
     case("board.regeneration.start_voltage = 29", "29.5", **FITTED, board__brake__on_voltage=29.5),
-    case("board.brake.resistance = 10", "9.11 ohm or less", **FITTED),
+    case("board.brake.resistance = 10", "9.11 or less", **FITTED),
     case("board.brake.energy = 0.9", "0.986 J", **FITTED),
     case("board.brake.power = 200", "167 W", **FITTED),
     case("axis1.stop.short_current = 9", "8.25 A"),
@@ -312,7 +316,7 @@ OPTIONAL: dict[str, list[tuple[str, str, dict[str, object]]]] = {
         case("axis1.control.observer_bandwidth = 1000", "not within"),
     ],
     "axis1__features__friction": [
-        case("axis1.friction.smooth", "raise it", axis1__friction__smooth=0.01),
+        case("axis1.friction.smooth", "write axis1.friction.smooth = 0.016 or more", axis1__friction__smooth=0.01),
     ],
     "axis1__features__over_speed": [
         case("axis1.limits.over_speed = 314", "314 rad/s"),

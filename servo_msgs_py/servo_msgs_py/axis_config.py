@@ -29,6 +29,14 @@ class AxisConfigError(ValueError):
     """A malformed table or block; the message contains the member."""
 
 
+class MemberRangeError(AxisConfigError):
+    """A member is out of range."""
+
+    def __init__(self, text: str, path: str) -> None:
+        super().__init__(text)
+        self.path = path  # of the member
+
+
 @dataclass(frozen=True)
 class Member:
     """One number of a block."""
@@ -121,7 +129,7 @@ class AxisConfigTable:
             if path in part and not member.accepts(part[path]):
                 low, high = (f"{member.value(bound):g}" for bound in (member.minimum, member.maximum))
                 allowed = f"bits of {member.maximum:#x}" if member.bits else f"{low} .. {high} {member.unit}".rstrip()
-                raise AxisConfigError(f"{path} = {member.text(part[path])}: allowed: {allowed}")
+                raise MemberRangeError(f"{path} = {member.text(part[path])}: allowed: {allowed}", path)
 
     def words(self, block: Mapping[str, int]) -> list[int]:
         """Raw numbers in the order of the table.

@@ -4,7 +4,8 @@
 between numbers. `gains` computes gains in SI units from motor data and bandwidths, `constants` converts them to
 integers in the `formats` of the firmware (`braking`, `stops`, `temperature`, `winding`, `field_weakening`, `passwords`:
 of one group of the file; `sensorless`: observer, PLL and start-up; `optional`: what an axis need not use), `block`
-arranges them as a configuration block, `source` writes them as C, and `restore` computes a file from a block. `loops` has the discrete models of the control
-loops with these integers and one of the `sensors`; `tuned` refuses unstable loops, `assessment` computes figures,
-`findings` returns warnings, `report` and `picture` show the results. `command` is the command line.
+arranges them as a configuration block, `source` writes them as C, and `restore` computes a file from a block. `loops`
+has the discrete models of the control loops with these integers and one of the `sensors`; `tuned` refuses unstable
+loops, `acceptance` is all of this at once, with which `errors` searches the values of remedies. `assessment` computes
+figures, `findings` returns warnings, `report` and `picture` show the results. `command` is the command line.
 """

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import Final
 
-from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable
+from servo_msgs_py.axis_config import AxisConfigTable, MemberRangeError
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.conversion import AxisConstants, Category, FaultSet, Field, PiRaw, Switches
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.errors import ConfigError, either
+from servo_msgs_py.tuning.schema import AXIS_GROUPS
 from servo_msgs_py.tuning.stops import CATEGORIES
 
 
@@ -29,6 +31,27 @@ def _raw(value: Field) -> int:
         return CATEGORIES.index(value)
     assert isinstance(value, int)
     return value
+
+
+_ENTRIES: Final[Mapping[str, str]] = {
+    "current_loop.d": "control.current_bandwidth",
+    "current_loop.q": "control.current_bandwidth",
+    "speed": "control.speed_bandwidth",
+    "observed_speed": "observer.speed_part",
+    "pll": "observer.pll_i",
+    "observer": "observer.bandwidth",
+    "offset_tolerance": "sensing.offset_tolerance",
+    "encoder.pole_pairs": "motor.pole_pairs",
+}
+"""Entry that corrects a member out of range, by its path or the path of its group."""
+
+
+def _entry_of(path: str) -> str:
+    """Entry that corrects a member; empty: there is none."""
+    group, _, key = path.rpartition(".")
+    if key in AXIS_GROUPS.get(group, {}):
+        return path
+    return _ENTRIES.get(path) or _ENTRIES.get(group, "")
 
 
 def block_of(constants: AxisConstants, name: str) -> dict[str, int]:
@@ -62,8 +85,10 @@ def members_of(constants: AxisConstants, name: str) -> dict[str, int]:
             found[path] = _raw(value)
     try:
         AxisConfigTable.load().check_part(found)
-    except AxisConfigError as error:
-        raise ConfigError(f"{name}: {error}; correct the entries that it depends on") from None
+    except MemberRangeError as error:
+        entry = _entry_of(error.path)
+        changes = [either(f"{name}.{entry}")] if entry else []
+        raise ConfigError(f"{name}: {error}", f"{name}: {error.path}", changes, "correct the motor data") from None
     return found
 
 

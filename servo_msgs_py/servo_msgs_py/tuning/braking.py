@@ -8,7 +8,7 @@ from typing import Final
 
 from servo_msgs_py.tuning.configuration import PINS, Axis, Configuration
 from servo_msgs_py.tuning.conversion import Category, Converter, FaultSet, Field
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.errors import ConfigError, either, lower, remedies_tried
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN
 
 BUS_END: Final = 0.98
@@ -71,22 +71,35 @@ def brake_constants(configuration: Configuration) -> Mapping[str, int]:
     ConfigError
         If a value does not fit its format, or is rounded to 0.
     """
-    board, s = configuration.board, configuration.scales
-    if not board.complete:
+    if not configuration.board.complete:
         raise ConfigError("[board.brake] and [board.regeneration] are missing; the firmware needs both")
+    with remedies_tried(configuration.table):
+        return _brake_constants(configuration)
+
+
+def _brake_constants(configuration: Configuration) -> Mapping[str, int]:
+    board, s = configuration.board, configuration.scales
     energy, power = board("brake.energy"), board("brake.power")
     heating = s.u_dc**2 / board("brake.resistance") * board.tick / energy
 
     def volts(key: str) -> int:
-        return FRAC16.raw(f"board.{key}", board(key) / s.u_dc, "stay below the full scale of the ADC", board(key))
+        entry = f"board.{key}"
+        return FRAC16.raw(entry, board(key) / s.u_dc, lower(entry), given=board(key))
 
     return {
         "fitted": int(board.brake),
         "on": volts("brake.on_voltage"),
         "off": volts("brake.off_voltage"),
-        "heating": GAIN.raw("board.brake.energy", heating, "raise it, or brake.resistance", energy),
-        "cooling": FRAC32.raw("board.brake.power", power * board.tick / energy, "raise it, or lower energy", power),
+        "heating": GAIN.raw(
+            "board.brake.energy", heating, *map(either, ("board.brake.energy", "board.brake.resistance")), given=energy
+        ),
+        "cooling": FRAC32.raw(
+            "board.brake.power",
+            power * board.tick / energy,
+            *map(either, ("board.brake.power", "board.brake.energy")),
+            given=power,
+        ),
         "start": volts("regeneration.start_voltage"),
         "full": volts("regeneration.full_voltage"),
-        "u_dc_max_braking": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
+        "u_dc_max_braking": FRAC16.raw("board: end of the bus converter", BUS_END),
     }

@@ -7,6 +7,7 @@ import math
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.errors import either, exactly, higher, lower
 from servo_msgs_py.tuning.field_weakening import idle_speed
 from servo_msgs_py.tuning.sensorless_checks import check_observer_entries
 from servo_msgs_py.tuning.winding import check_winding
@@ -41,23 +42,23 @@ def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
     """Check frequencies, voltages, dead time and timeouts."""
     for key, expected in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
         if board(key) != expected:
-            raise board.refused(key, "fixed by the firmware", f"write {expected:g}")
+            raise board.refused(key, "fixed by the firmware", exactly(f"board.{key}", float(expected)))
     order = ("under_voltage", "nominal_voltage", "over_voltage")
-    for lower, higher in itertools.pairwise(order):
-        if board(lower) >= board(higher):
-            reason = f"not below {higher} = {board(higher):g} V"
-            raise board.refused(lower, reason, "write voltages in ascending order")
+    for below, above in itertools.pairwise(order):
+        if board(below) >= board(above):
+            reason = f"not below {above} = {board(above):g} V"
+            raise board.refused(below, reason, lower(f"board.{below}"), higher(f"board.{above}"))
     if board("over_voltage") >= scales.u_dc:
         reason = f"not below the ADC range of {scales.u_dc:g} V"
-        raise board.refused("over_voltage", reason, "write a lower voltage")
+        raise board.refused("over_voltage", reason, lower("board.over_voltage"))
     if board("dead_time") >= 0.5 * board.period:
         reason = f"two dead times fill the PWM period of {board.period:g} s"
-        raise board.refused("dead_time", reason, "write seconds, about 1e-6")
+        raise board.refused("dead_time", reason, lower("board.dead_time"))
     for key in ("host_timeout", "command_timeout"):
         timeout = catalogue[f"param.{key}"]
         if not timeout.minimum <= board(key) <= timeout.maximum:
             reason = f"outside the range {timeout.minimum:g} .. {timeout.maximum:g} s of param.{key}"
-            raise board.refused(key, reason, "write a value within this range")
+            raise board.refused(key, reason, either(f"board.{key}"))
 
 
 def _contract(axis: Axis, catalogue: Catalogue) -> None:
@@ -68,43 +69,39 @@ def _contract(axis: Axis, catalogue: Catalogue) -> None:
         variable, value = catalogue[f"param.{name}"], axis(f"limits.{key}")
         if not variable.minimum <= value <= variable.maximum:
             span = f"{variable.minimum:g} .. {variable.maximum:g} {variable.unit}"
-            raise axis.refused(
-                f"limits.{key}", f"outside the range {span} of param.{name}", "write a value within this range"
-            )
+            raise axis.refused(f"limits.{key}", f"outside the range {span} of param.{name}", either(f"limits.{key}"))
 
 
 def _axis(axis: Axis) -> None:
     """Check encoder, limits, friction and inertia."""
     if axis.counts != COUNTS_PER_TURN:
-        remedy = f"write {COUNTS_PER_TURN // 4}"
-        raise axis.refused(
-            "encoder.lines", f"the firmware is built for {COUNTS_PER_TURN} counts per turn, 4 per line", remedy
-        )
+        reason = f"the firmware is built for {COUNTS_PER_TURN} counts per turn, 4 per line"
+        raise axis.refused("encoder.lines", reason, exactly("encoder.lines", COUNTS_PER_TURN / 4.0))
     if axis("control.anti_windup") >= 1.0:
-        raise axis.refused("control.anti_windup", "Kc of DRM E35 lies between 0 and 1", "write 0.5")
+        raise axis.refused("control.anti_windup", "Kc of DRM E35 lies between 0 and 1", lower("control.anti_windup"))
     if axis.features["over_speed"] and axis("limits.over_speed") <= axis("limits.speed"):
         reason = f"not above the largest speed set-point, {axis('limits.speed'):g} rad/s (limits.speed)"
-        raise axis.refused("limits.over_speed", reason, "write a higher speed")
+        raise axis.refused("limits.over_speed", reason, higher("limits.over_speed"), lower("limits.speed"))
     if axis("timing.stop_speed") >= axis("limits.speed"):
         reason = f"not below the speed limit, {axis('limits.speed'):g} rad/s: a stop would be complete at any speed"
-        raise axis.refused("timing.stop_speed", reason, "write a speed close to standstill")
+        raise axis.refused("timing.stop_speed", reason, lower("timing.stop_speed"), higher("limits.speed"))
     torque = axis.torque_constant * axis("limits.current")
     if axis("friction.coulomb") >= torque:
         reason = f"the current limit gives {torque:.3g} N m, too little to rotate the shaft"
-        raise axis.refused("friction.coulomb", reason, "correct it, motor.psi_m or limits.current")
+        raise axis.refused(
+            "friction.coulomb", reason, lower("friction.coulomb"), higher("limits.current"), "correct motor.psi_m"
+        )
     if axis("motor.rotor_inertia") > axis("motor.inertia"):
         reason = f"more than motor.inertia = {axis('motor.inertia'):g} kg m^2, which includes it"
-        raise axis.refused("motor.rotor_inertia", reason, "correct one of them")
+        raise axis.refused("motor.rotor_inertia", reason, lower("motor.rotor_inertia"), higher("motor.inertia"))
 
 
 def _voltage(axis: Axis, board: Board) -> None:
     maximum = idle_speed(axis, board)
     if axis("limits.speed") > maximum:
         reason = f"above the no-load speed of {maximum:.4g} rad/s at {board('nominal_voltage'):g} V"
-        remedy = (
-            "lower it, switch field_weakening on, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
-        )
-        raise axis.refused("limits.speed", reason, remedy)
+        advice = "switch field_weakening on, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
+        raise axis.refused("limits.speed", reason, lower("limits.speed"), advice)
 
 
 def _order(axis: Axis, board: Board) -> None:
@@ -112,14 +109,16 @@ def _order(axis: Axis, board: Board) -> None:
     speed, current = (2.0 * math.pi * axis(f"control.{key}_bandwidth") for key in ("speed", "current"))
     if axis("control.position_gain") >= speed:
         reason = f"not below the bandwidth of the inner speed loop, {speed:.4g} rad/s"
-        remedy = "write a quarter of it or less, or raise control.speed_bandwidth"
-        raise axis.refused("control.position_gain", reason, remedy)
+        changes = lower("control.position_gain"), higher("control.speed_bandwidth")
+        raise axis.refused("control.position_gain", reason, *changes)
     if speed >= current:
         reason = f"not below control.current_bandwidth = {axis('control.current_bandwidth'):g} Hz"
-        raise axis.refused("control.speed_bandwidth", reason, "write a fifth of it or less")
+        raise axis.refused(
+            "control.speed_bandwidth", reason, lower("control.speed_bandwidth"), higher("control.current_bandwidth")
+        )
     if 2.0 * axis("control.current_bandwidth") >= board("pwm_frequency"):
         reason = f"too high for the sampling rate of {board('pwm_frequency'):g} Hz"
-        raise axis.refused("control.current_bandwidth", reason, "write a tenth of it or less")
+        raise axis.refused("control.current_bandwidth", reason, lower("control.current_bandwidth"))
 
 
 def _search(axis: Axis) -> None:
@@ -127,23 +126,25 @@ def _search(axis: Axis) -> None:
     maximum = axis("limits.current")
     if axis("rotor_search.current") > maximum:
         reason = f"above the current limit of {maximum:g} A (limits.current)"
-        raise axis.refused("rotor_search.current", reason, f"write {maximum:g} A or less")
+        raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"))
     count = 360.0 * axis("motor.pole_pairs") / axis.counts
     if not count <= axis("rotor_search.interval") < 60.0:
         reason = f"not at least one count ({count:.3g} deg) and below 60 deg, otherwise the torque is uncertain"
-        raise axis.refused("rotor_search.interval", reason, "write about 1.5 degrees")
+        raise axis.refused("rotor_search.interval", reason, either("rotor_search.interval"))
     if axis("rotor_search.move_counts") < 3.0:
         reason = "below 3: dither at an encoder edge gives up to 2 counts without rotation"
-        raise axis.refused("rotor_search.move_counts", reason, "write about 3 counts")
+        raise axis.refused("rotor_search.move_counts", reason, higher("rotor_search.move_counts"))
     if axis("rotor_search.move_counts") * count >= 0.25 * axis("rotor_search.verify_angle"):
         reason = "not below a quarter of rotor_search.verify_angle, the criterion of a shaft that runs away"
-        raise axis.refused("rotor_search.move_counts", reason, "write about 3 counts")
+        changes = lower("rotor_search.move_counts"), higher("rotor_search.verify_angle")
+        raise axis.refused("rotor_search.move_counts", reason, *changes)
     halvings = math.ceil(math.log2(360.0 / axis("rotor_search.interval")))
     longest = halvings * sum(axis(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest"))
     longest += 4.0 * axis("rotor_search.verify_time")  # to one side, to the other side, and back
     if axis("rotor_search.time_max") < longest:
         reason = f"{halvings} vectors and the verification take up to {longest:.3g} s"
-        raise axis.refused("rotor_search.time_max", reason, "write more, or shorten the times of the search")
+        shorter = (lower(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest", "verify"))
+        raise axis.refused("rotor_search.time_max", reason, higher("rotor_search.time_max"), *shorter)
 
 
 def _bus(configuration: Configuration) -> None:
@@ -152,10 +153,10 @@ def _bus(configuration: Configuration) -> None:
     order = ["regeneration.start_voltage", "regeneration.full_voltage", "over_voltage"]
     if board.brake:
         order = ["brake.off_voltage", "brake.on_voltage", *order]
-    for lower, higher in itertools.pairwise(["nominal_voltage", *order]):
-        if board(lower) >= board(higher):
-            reason = f"not above {lower} = {board(lower):g} V"
-            raise board.refused(higher, reason, f"write voltages in the order nominal, {', '.join(order)}")
+    for below, above in itertools.pairwise(["nominal_voltage", *order]):
+        if board(below) >= board(above):
+            reason = f"not above {below} = {board(below):g} V"
+            raise board.refused(above, reason, higher(f"board.{above}"), lower(f"board.{below}"))
     if not board.brake:
         return
     dissipated = board("brake.on_voltage") ** 2 / board("brake.resistance")
@@ -165,17 +166,16 @@ def _bus(configuration: Configuration) -> None:
             f"at {board('brake.on_voltage'):g} V it dissipates {dissipated:.3g} W, less than the {returned:.3g} W that"
             " all braking axes return"
         )
-        remedy = f"write {board('brake.on_voltage') ** 2 / returned:.3g} ohm or less"
-        raise board.refused("brake.resistance", reason, remedy)
+        raise board.refused("brake.resistance", reason, lower("board.brake.resistance"))
     kinetic = sum(0.5 * axis("motor.inertia") * axis("limits.speed") ** 2 for axis in configuration.axes)
     if board("brake.energy") < kinetic:
         reason = f"all axes together return up to {kinetic:.3g} J when they brake from their speed limits"
-        raise board.refused("brake.energy", reason, "write more, or fit another resistor")
+        raise board.refused("brake.energy", reason, higher("board.brake.energy"), "fit another resistor")
     if board("brake.power") >= dissipated:
         reason = (
             f"at {board('brake.on_voltage'):g} V it dissipates {dissipated:.3g} W, not more than the continuous rating"
         )
-        raise board.refused("brake.power", reason, "write its continuous rating")
+        raise board.refused("brake.power", reason, lower("board.brake.power"))
 
 
 def _returned(axis: Axis, board: Board) -> float:
@@ -189,17 +189,18 @@ def _home(axis: Axis) -> None:
     """Check contact detection and spread of a homing."""
     if axis("home.speed") < 1.0:
         reason = "too slow: the later approaches use a quarter of it, too few counts for the contact detection"
-        raise axis.refused("home.speed", reason, "write 1 or more")
+        raise axis.refused("home.speed", reason, higher("home.speed"))
     if axis("home.spread") >= axis("home.back_off"):
         reason = f"not below home.back_off = {axis('home.back_off'):g} rad"
-        raise axis.refused("home.spread", reason, "write the angle of a few encoder counts")
+        raise axis.refused("home.spread", reason, lower("home.spread"), higher("home.back_off"))
 
 
 def _stops(axis: Axis, scales: Scales) -> None:
     if axis("stop.short_current") > scales.i:
         reason = f"above the range of the shunts, {scales.i:g} A"
-        raise axis.refused("stop.short_current", reason, "write a current within this range")
+        raise axis.refused("stop.short_current", reason, lower("stop.short_current"))
     ramp = axis("limits.speed") / axis("limits.acceleration") + axis("timing.stop_max")
     if axis("stop.time_max") < ramp:
         reason = f"a ramp from the speed limit at limits.acceleration and timing.stop_max take {ramp:.3g} s"
-        raise axis.refused("stop.time_max", reason, "write more")
+        changes = higher("stop.time_max"), higher("limits.acceleration"), lower("limits.speed")
+        raise axis.refused("stop.time_max", reason, *changes)

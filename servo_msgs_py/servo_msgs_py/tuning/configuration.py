@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.tuning.errors import ConfigError, refused
+from servo_msgs_py.tuning.errors import ConfigError, Remedy, refused
 from servo_msgs_py.tuning.passwords import password_entries
 from servo_msgs_py.tuning.schema import (
     AXIS_GROUPS,
@@ -104,9 +104,9 @@ class Board:
             values |= {f"{group}.{key}": value for key, value in checked.items()}
         return cls(values, temperature, check_switches("board.brake", switch, ["fitted"])["fitted"], passwords)
 
-    def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
-        """Error about one entry of the group."""
-        return refused(f"board.{key}", self(key), reason, remedy)
+    def refused(self, key: str, reason: str, *remedies: Remedy | str) -> ConfigError:
+        """Error about one entry of the group; remedies with the full names of entries."""
+        return refused(f"board.{key}", self(key), reason, *remedies)
 
 
 @dataclass(frozen=True)
@@ -136,9 +136,16 @@ class Axis:
         """Full name of an entry, with its group if it is in [defaults]."""
         return _place(self.name, path, self.inherited)
 
-    def refused(self, path: str, reason: str, remedy: str) -> ConfigError:
-        """Error about one entry of this axis."""
-        return refused(self.entry(path), self(path), reason, remedy)
+    def refused(self, path: str, reason: str, *remedies: Remedy | str) -> ConfigError:
+        """Error about one entry of this axis; remedies as for `named`."""
+        return refused(self.entry(path), self(path), reason, *map(self.named, remedies))
+
+    def named(self, remedy: Remedy | str) -> Remedy | str:
+        """A remedy whose entry is a path of this axis or one of ``board.``, with the full name of the entry."""
+        if isinstance(remedy, str) or remedy.entry.startswith("board."):
+            return remedy
+        group, key = remedy.entry.split(".")
+        return replace(remedy, entry=f"{self.name}.{remedy.entry}", whole=AXIS_GROUPS[group][key].whole)
 
     @property
     def torque_constant(self) -> float:
@@ -229,3 +236,4 @@ class Configuration:
     board: Board
     axes: tuple[Axis, ...]
     scales: Scales
+    table: Mapping[str, Any] = field(default_factory=dict)  # parsed ``servo.toml``; empty: not from a file

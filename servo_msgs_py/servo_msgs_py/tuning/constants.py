@@ -8,6 +8,7 @@ from typing import Final
 from servo_msgs_py.tuning.braking import pin_constants, stop_constants
 from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configuration
 from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
+from servo_msgs_py.tuning.errors import either, lower
 from servo_msgs_py.tuning.field_weakening import field_weakening_constants
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
 from servo_msgs_py.tuning.gains import Gains
@@ -29,8 +30,8 @@ SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
 
 _LINES: Final = "correct encoder.lines"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
-_SLOWER_CURRENT: Final = "lower control.current_bandwidth"
-_SLOWER: Final = "lower control.speed_bandwidth, or correct motor.inertia or motor.psi_m"
+_SLOWER_CURRENT: Final = lower("control.current_bandwidth")
+_SLOWER: Final = (either("control.speed_bandwidth"), "correct motor.inertia or motor.psi_m")
 
 
 def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> AxisConstants:
@@ -62,20 +63,22 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
     omega_e = axis("motor.pole_pairs") * s.speed
     admittance = s.i / s.u_s
-    slower = "lower control.current_bandwidth, or correct motor.r_s, motor.l_d or motor.l_q"
-    drop = to.board_at(FRAC16, "switch_drop", 1.0 / s.u_dc, "write volts, about 0.7")
-    use = to.board_at(FRAC16, "voltage_use", math.sqrt(0.75), "write a fraction, about 0.94")
+    slower = _SLOWER_CURRENT, "correct motor.r_s, motor.l_d or motor.l_q"
+    drop = to.board_at(FRAC16, "switch_drop", 1.0 / s.u_dc)
+    use = to.board_at(FRAC16, "voltage_use", math.sqrt(0.75))
     coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
-    duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period, "write seconds, about 1e-6")
+    duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period)
     step = to.of(GAIN, "angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
-    to.of(PI_SUM, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, slower)
+    to.of(PI_SUM, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, *slower)
     emf = omega_e * axis("motor.psi_m") / s.u_s
     u_q = (gains.current_q.kp + omega_e * axis("motor.l_d")) * admittance + emf
-    to.of(PI_SUM, "gains added in u_q", u_q, slower)
-    sign = to.of(INT16_Q8, "slope of sensing.sign_current", s.i / axis("sensing.sign_current"), "raise that current")
+    to.of(PI_SUM, "gains added in u_q", u_q, *slower)
+    sign = to.of(
+        INT16_Q8, "slope of sensing.sign_current", s.i / axis("sensing.sign_current"), either("sensing.sign_current")
+    )
     return {
-        "current_loop.d": pi_raw(axis, "current controller d", gains.current_d, admittance, slower),
-        "current_loop.q": pi_raw(axis, "current controller q", gains.current_q, admittance, slower),
+        "current_loop.d": pi_raw(axis, "current controller d", gains.current_d, admittance, *slower),
+        "current_loop.q": pi_raw(axis, "current controller q", gains.current_q, admittance, *slower),
         "current_loop.omega_l_d": to.of(GAIN, "decoupling d", omega_e * axis("motor.l_d") * admittance, coupling),
         "current_loop.omega_l_q": to.of(GAIN, "decoupling q", omega_e * axis("motor.l_q") * admittance, coupling),
         "current_loop.omega_psi": to.of(GAIN, "back-EMF", emf, flux),
@@ -102,11 +105,13 @@ def _sensing(to: Converter) -> dict[str, Field]:
         "encoder.angle_per_count": to.of(ANGLE32, "angle per count", 1.0 / counts, _LINES),
         "speed_observer.speed_per_step": to.of(RECIPROCAL, "speed per step", 1.0 / steps, _LINES),
         "speed_observer.step_per_speed": to.of(INT32_Q16, "step per speed", steps, _LINES),
-        "mt_speed.speed_per_ratio": ratio.raw("board.timer_clock: speed per count and clock", per_ratio, "lower it"),
+        "mt_speed.speed_per_ratio": ratio.raw(
+            "board.timer_clock: speed per count and clock", per_ratio, either("board.timer_clock")
+        ),
         f"{search}.current_step": FRAC32.raw(
             axis.entry("rotor_search.ramp_time") + ": current per slow tick",
             axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
-            f"write at least {board.tick:g} s and less than a minute",
+            axis.named(either("rotor_search.ramp_time")),
         ),
         f"{search}.current_slew": to.of(
             FRAC32,
@@ -123,7 +128,7 @@ def _sensing(to: Converter) -> dict[str, Field]:
             TURN_STEP,
             "rotation of the vector per slow tick in the verification",
             axis("rotor_search.verify_angle") / 360.0 * board.tick / axis("rotor_search.verify_time"),
-            "lower rotor_search.verify_time",
+            either("rotor_search.verify_time"),
         ),
         f"{search}.angle_per_count": to.of(INT32_Q16, "search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
         f"{search}.interval": to.at(SEARCH_ANGLE, "rotor_search.interval", 1.0 / 360.0),
@@ -145,12 +150,10 @@ def _follow(to: Converter) -> dict[str, Field]:
     inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))  # of a blocked rotor, mean over the rotation
     inductive = turn / time * inductance * axis("rotor_search.current") / s.u_s
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * turn / s.u_s / board.period
-    slower = "raise rotor_search.turn_time"
+    slower = either("rotor_search.turn_time")
     follow = "rotor_search.follow"
     return {
-        f"{follow}.ticks": to.of(
-            TURN_TICKS, "slow ticks of rotor_search.turn_time", time / board.tick, "write about 0.04 s"
-        ),
+        f"{follow}.ticks": to.of(TURN_TICKS, "slow ticks of rotor_search.turn_time", time / board.tick, slower),
         f"{follow}.step": to.of(
             TURN_STEP, "rotation of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
         ),
@@ -171,11 +174,11 @@ def speed_observer_constants(to: Converter) -> dict[str, Field]:
     minimum, maximum = axis("control.position_gain") / math.pi, 0.5 / tick
     if not minimum <= axis("control.observer_bandwidth") < maximum:
         reason = f"not within {minimum:.4g} .. {maximum:.4g} Hz (twice the position loop .. half the slow loop rate)"
-        raise axis.refused("control.observer_bandwidth", reason, "write one or two times control.speed_bandwidth")
+        raise axis.refused("control.observer_bandwidth", reason, either("control.observer_bandwidth"))
     per_rad = axis.counts / (2.0 * math.pi)
     torque = axis.torque_constant * s.i / axis("motor.inertia") * tick**2 * per_rad
     p = math.exp(-2.0 * math.pi * axis("control.observer_bandwidth") * tick)
-    slower = "lower control.observer_bandwidth"
+    slower = either("control.observer_bandwidth")
     return {
         "speed_observer.acceleration_per_current": to.of(OBSERVER, "acceleration of the observer", torque, _HOLD),
         "speed_observer.l_position": to.of(GAIN, "observer, position", 1.0 - p**3, slower),
@@ -187,11 +190,11 @@ def speed_observer_constants(to: Converter) -> dict[str, Field]:
 def _motion(to: Converter, gains: Gains) -> dict[str, Field]:
     axis, board, s, counts = to.axis, to.board, to.s, to.axis.counts
     step = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
-    path = "lower control.path_current_use or limits.current, or correct motor.inertia or motor.psi_m"
+    path = either("control.path_current_use"), either("limits.current"), "correct motor.inertia or motor.psi_m"
     return {
-        "speed": pi_raw(axis, "speed controller", gains.speed, s.speed / s.i, _SLOWER),
+        "speed": pi_raw(axis, "speed controller", gains.speed, s.speed / s.i, *_SLOWER),
         "position_gain": to.at(FRAC32, "control.position_gain", 2.0 * math.pi / counts / s.speed),
-        "path_omega_n_ts": to.of(PATH_OMEGA, "omega_n Ts of the path", gains.path_omega_n * board.tick, path),
+        "path_omega_n_ts": to.of(PATH_OMEGA, "omega_n Ts of the path", gains.path_omega_n * board.tick, *path),
         "path_step_per_speed": to.of(INT32_Q16, "path step", step, _LINES),
         "speed_per_path_step": to.of(RECIPROCAL, "speed per path step", 1.0 / step, _LINES),
     }
@@ -211,7 +214,9 @@ def friction_constants(to: Converter) -> dict[str, Field]:
         "friction.coulomb": to.at(FRAC32, "friction.coulomb", 1.0 / k_t / s.i),
         "friction.viscous": to.at(GAIN, "friction.viscous", s.speed / k_t / s.i),
         "friction.smooth": to.at(FRAC32, "friction.smooth", 1.0 / s.speed),
-        "friction.slope": INT32_Q16.raw(axis.entry("friction.smooth") + ": slope", s.speed / smooth, "raise it"),
+        "friction.slope": INT32_Q16.raw(
+            axis.entry("friction.smooth") + ": slope", s.speed / smooth, axis.named(either("friction.smooth"))
+        ),
     }
 
 
@@ -225,7 +230,7 @@ def _limits(to: Converter) -> dict[str, Field]:
     per_rad = axis.counts / (2.0 * math.pi)
 
     def volts(key: str) -> int:
-        return to.board_at(FRAC16, key, 1.0 / s.u_dc, "stay below the full scale of the ADC")
+        return to.board_at(FRAC16, key, 1.0 / s.u_dc)
 
     k_t = FRAC16.raw(f"{axis.name}: torque constant", axis.torque_constant / s.torque_constant, _HOLD)
     return {
@@ -286,15 +291,15 @@ def _monitor_constants(to: Converter) -> dict[str, Field]:
     inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
     return {
         "winding.current_min": to.of(
-            FRAC16, "current of a silent phase, twice sensing.sign_current", 2.0 * sign, "lower it"
+            FRAC16, "current of a silent phase, twice sensing.sign_current", 2.0 * sign, either("sensing.sign_current")
         ),
         "winding.direction_current_min": to.of(
-            FRAC16, "smallest current with a direction", sign, "raise sensing.sign_current"
+            FRAC16, "smallest current with a direction", sign, either("sensing.sign_current")
         ),
         "winding.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
         "winding.inductance": to.of(GAIN, "inductive voltage", inductance, "correct motor.l_q"),
         "winding.rotation_per_voltage": to.of(INT32_Q16, "rotation per back-EMF", turn, "correct motor.psi_m"),
-        "winding.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
+        "winding.emf_floor": to.of(FRAC16, "unexplained voltage", floor, lower("board.switch_drop")),
         "heat.hot": hot,
         "heat.cool": cool,
     }
@@ -303,6 +308,6 @@ def _monitor_constants(to: Converter) -> dict[str, Field]:
 def time_outs(board: Board) -> dict[str, int]:
     """Defaults of the writable timeouts [slow ticks]."""
     return {
-        name: UINT16.raw(f"board.{name}", board(name) / board.tick, "write seconds", board(name))
+        name: UINT16.raw(f"board.{name}", board(name) / board.tick, either(f"board.{name}"), given=board(name))
         for name in ("host_timeout", "command_timeout")
     }

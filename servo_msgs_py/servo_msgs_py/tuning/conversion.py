@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from servo_msgs_py.tuning.configuration import Axis, Board, Scales
+from servo_msgs_py.tuning.errors import Remedy, either, higher
 from servo_msgs_py.tuning.formats import GAIN, Format
 from servo_msgs_py.tuning.gains import Pi
 
@@ -39,13 +40,13 @@ AxisConstants = Mapping[str, Field]
 """C path of every field of ``axis_config_t`` with its value."""
 
 
-def pi_raw(axis: Axis, name: str, gains: Pi, scale: float, remedy: str) -> PiRaw:
+def pi_raw(axis: Axis, name: str, gains: Pi, scale: float, *remedies: Remedy | str) -> PiRaw:
     """Raw gains of a PI controller; `scale` converts SI gains to full scale per full scale."""
-    entry = f"{axis.name}: {name}"
+    entry, changes = f"{axis.name}: {name}", [axis.named(remedy) for remedy in remedies]
     return PiRaw(
-        GAIN.raw(f"{entry} Kp", gains.kp * scale, remedy),
-        GAIN.raw(f"{entry} Kp Ki Ts", gains.ki * scale, remedy),
-        GAIN.raw(f"{entry} Kc", gains.kc, "raise control.anti_windup"),
+        GAIN.raw(f"{entry} Kp", gains.kp * scale, *changes),
+        GAIN.raw(f"{entry} Kp Ki Ts", gains.ki * scale, *changes),
+        GAIN.raw(f"{entry} Kc", gains.kc, axis.named(higher("control.anti_windup"))),
     )
 
 
@@ -57,19 +58,20 @@ class Converter:
     board: Board
     s: Scales
 
-    def at(self, format_: Format, path: str, scale: float, remedy: str = "correct it") -> int:
+    def at(self, format_: Format, path: str, scale: float) -> int:
         """Raw number of an entry of the axis times `scale`."""
-        return format_.raw(self.axis.entry(path), self.axis(path) * scale, remedy, self.axis(path))
+        change = self.axis.named(either(path))
+        return format_.raw(self.axis.entry(path), self.axis(path) * scale, change, given=self.axis(path))
 
-    def board_at(self, format_: Format, key: str, scale: float, remedy: str) -> int:
+    def board_at(self, format_: Format, key: str, scale: float) -> int:
         """Raw number of an entry of [board] times `scale`."""
-        return format_.raw(f"board.{key}", self.board(key) * scale, remedy, self.board(key))
+        entry = f"board.{key}"
+        return format_.raw(entry, self.board(key) * scale, either(entry), given=self.board(key))
 
     def ticks(self, path: str) -> int:
         """Raw number of a time, in slow ticks."""
-        tick = self.board.tick
-        return self.at(TICKS, path, 1.0 / tick, f"write seconds, {tick:g} .. {TICKS.high * tick:g}")
+        return self.at(TICKS, path, 1.0 / self.board.tick)
 
-    def of(self, format_: Format, name: str, value: float, remedy: str) -> int:
+    def of(self, format_: Format, name: str, value: float, *remedies: Remedy | str) -> int:
         """Raw number of a value that depends on several entries, in units of full scale."""
-        return format_.raw(f"{self.axis.name}: {name}", value, remedy)
+        return format_.raw(f"{self.axis.name}: {name}", value, *map(self.axis.named, remedies))

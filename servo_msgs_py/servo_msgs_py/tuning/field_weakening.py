@@ -12,9 +12,11 @@ import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.configuration import Axis, Board, Scales
 from servo_msgs_py.tuning.conversion import Converter, Field
+from servo_msgs_py.tuning.errors import either
 from servo_msgs_py.tuning.formats import FRAC16, INT16_Q8
 from servo_msgs_py.tuning.layout import notes, table
 
+_LARGEST: Final = ("field_weakening.current_use", "field_weakening.magnet_current")
 _STEPS: Final = 201  # values of i_d in the search for the largest torque
 _SHARE_MAX: Final = 1.0 - 2.0**-15
 _SPEEDS: Final = (0.6, 0.7, 0.8, 0.9, 1.0)  # of the rated speed, in the report
@@ -50,10 +52,8 @@ def field_weakening_constants(to: Converter) -> dict[str, Field]:
         f"{group}.gain": to.of(
             INT16_Q8, "gain of field weakening", min(max(gain, 2.0**-8), 127.0), "correct motor.l_d"
         ),
-        f"{group}.i_d_max": to.of(FRAC16, "largest i_d against the flux", i_d_max(axis) / s.i, "lower it"),
-        f"{group}.q_share": to.of(
-            FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _SHARE_MAX), "none"
-        ),
+        f"{group}.i_d_max": to.of(FRAC16, "largest i_d against the flux", i_d_max(axis) / s.i, *map(either, _LARGEST)),
+        f"{group}.q_share": to.of(FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _SHARE_MAX)),
     }
 
 

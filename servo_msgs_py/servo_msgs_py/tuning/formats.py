@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from servo_msgs_py.tuning.errors import refused
+from servo_msgs_py.tuning.errors import Remedy, refused
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Format:
     low: int  # smallest raw number
     high: int  # largest raw number
 
-    def raw(self, entry: str, value: float, remedy: str, given: float | None = None) -> int:
+    def raw(self, entry: str, value: float, *remedies: Remedy | str, given: float | None = None) -> int:
         """Return the nearest raw number.
 
         Parameters
@@ -27,8 +27,8 @@ class Format:
             Full name of the entry, or of the quantity computed from several entries; for the refusal.
         value : float
             Value to convert.
-        remedy : str
-            Correction; for the refusal.
+        *remedies : Remedy or str
+            Corrections; for the refusal.
         given : float, optional
             Value in the configuration, if it is not `value` itself.
 
@@ -41,10 +41,10 @@ class Format:
         raw = round(scaled)
         shown, result = (value, "") if given is None else (given, f"{value:g} ")
         if raw == 0 and value != 0.0:
-            raise refused(entry, shown, f"{result}is too small for {self.name} and would vanish in rounding", remedy)
+            raise refused(entry, shown, f"{result}is too small for {self.name} and would vanish in rounding", *remedies)
         if not self.low <= raw <= self.high:
             low, high = (math.ldexp(bound, -self.fraction_bits) for bound in (self.low, self.high))
-            raise refused(entry, shown, f"{result}does not fit {self.name} ({low:g} .. {high:g})", remedy)
+            raise refused(entry, shown, f"{result}does not fit {self.name} ({low:g} .. {high:g})", *remedies)
         return raw
 
     def value(self, raw: int) -> float:

@@ -10,7 +10,7 @@ from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue
 from servo_msgs_py.text_file import TextFileError, parse_toml, read_text
 from servo_msgs_py.tuning.checks import check
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.errors import ConfigError, remedies_tried
 from servo_msgs_py.tuning.schema import unknown_name
 
 
@@ -60,7 +60,8 @@ def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
             raise unknown_name(f"[{name}]", name, known)
     feature_names = [flag.name.lower() for flag in catalogue.flags["features"]]
     fault_names = [flag.name.lower() for flag in catalogue.flags["faults"]]
-    axes = tuple(Axis.of(table, name, feature_names, fault_names) for name in AXIS_NAMES)
-    configuration = Configuration(Board.of(table.get("board", {})), axes, Scales.of(catalogue))
-    check(configuration, catalogue)
+    with remedies_tried(table):
+        axes = tuple(Axis.of(table, name, feature_names, fault_names) for name in AXIS_NAMES)
+        configuration = Configuration(Board.of(table.get("board", {})), axes, Scales.of(catalogue), table)
+        check(configuration, catalogue)
     return configuration

@@ -8,7 +8,7 @@ from typing import Final
 
 from servo_msgs_py.tuning.configuration import Axis, Board, Scales
 from servo_msgs_py.tuning.conversion import TICKS, Converter, Field, PiRaw, pi_raw
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.errors import ConfigError, either
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
 from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
 from servo_msgs_py.tuning.sensorless_checks import check_sensorless
@@ -31,7 +31,7 @@ SOME_TICKS: Final = Format(TICKS.name, 0, 1, TICKS.high)
 SLEW: Final = Format(FRAC32.name, 31, -(2**31), 2**31 - 1)
 
 _WINDING: Final = "correct motor.r_s, motor.l_d or motor.l_q"
-_SLOWER: Final = "lower observer.bandwidth"
+_SLOWER: Final = either("observer.bandwidth")
 _MOTOR: Final = "correct motor.psi_m or motor.pole_pairs"
 
 
@@ -56,7 +56,7 @@ def sensorless_constants(to: Converter) -> dict[str, Field]:
         **_reliability(to),
         **_start_up(to, design.start_up),
         "observed_speed": pi_raw(
-            to.axis, "sensorless speed controller", design.speed, to.s.speed / to.s.i, "lower observer.speed_part"
+            to.axis, "sensorless speed controller", design.speed, to.s.speed / to.s.i, either("observer.speed_part")
         ),
     }
 
@@ -85,12 +85,12 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     p = axis("motor.pole_pairs")
     omega_n = pll.omega_n(s.u_s / axis("motor.psi_m"))  # at a back-EMF of full scale
     turn = p * s.speed * board.period / (2.0 * math.pi)  # at full-scale speed
-    quicker = "raise observer.pll_i"
+    pll_i = either("observer.pll_i")
     acceleration = pll.acceleration * s.i * p * board.tick * board.period / (2.0 * math.pi)
     e_min = 0.5 * p * axis("motor.psi_m") * design.start_up.minimum_speed / s.u_s
     per_emf = _step_per_emf(axis, board, s)
     amplitude_gain, amplitude_load_gain = pll.size_gains(board.tick)
-    slower = "lower observer.pll_size"
+    slower = axis.named(either("observer.pll_size"))
     return {
         "pll.amplitude_gain": GAIN.raw(axis.entry("observer.pll_size") + ": speed", amplitude_gain * per_emf, slower),
         "pll.amplitude_load_gain": GAIN.raw(
@@ -99,9 +99,11 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
         "pll.offset_gain": to.of(
             GAIN, "back-EMF per step of the PLL", board.tick / AMPLITUDE_OFFSET_TIME / per_emf, _MOTOR
         ),
-        "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
-        "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
-        "pll.e_min": to.of(FRAC16, "half the back-EMF at start_up.minimum_speed", e_min, f"raise it, or {_MOTOR}"),
+        "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), pll_i),
+        "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), pll_i),
+        "pll.e_min": to.of(
+            FRAC16, "half the back-EMF at start_up.minimum_speed", e_min, either("start_up.minimum_speed"), _MOTOR
+        ),
         "pll.step_max": to.of(STEP, "rotation per period, above full speed", 1.25 * turn, "fewer motor.pole_pairs"),
         "pll.speed_per_step": to.of(SPEED_PER_STEP, "speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
         "pll.step_per_speed": to.of(STEP, "rotation per period at full speed", turn, "fewer motor.pole_pairs"),
@@ -109,12 +111,13 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
         "pll.acceleration": STEP_GAIN.raw(
             axis.entry("observer.pll_torque") + ": change of the rotation per period in a tick",
             acceleration,
-            "lower it, or correct motor.inertia or motor.psi_m",
+            axis.named(either("observer.pll_torque")),
+            "correct motor.inertia or motor.psi_m",
         ),
         "pll.load_gain": LOAD.raw(
             axis.entry("observer.pll_load") + ": change in a tick",
             pll.load * omega_n**3 * _steps_per_acceleration(board) * board.tick,
-            "lower it",
+            axis.named(either("observer.pll_load")),
         ),
     }
 
@@ -147,8 +150,8 @@ def _reliability(to: Converter) -> dict[str, Field]:
         "reliability.period": to.at(UINT16, "reliability.period", 1.0),
         "reliability.variance_threshold": to.at(THRESHOLD, "reliability.variance_threshold", 1.0),
         "reliability.hysteresis": to.at(UINT16, "reliability.hysteresis", 1.0),
-        "emf_check.floor": to.at(FRAC16, "emf_check.floor", 1.0 / s.u_s, "write volts, about 0.4"),
-        "emf_check.floor_spin": to.at(FRAC16, "emf_check.spin_floor", 1.0 / s.u_s, "write volts, about 0.1"),
+        "emf_check.floor": to.at(FRAC16, "emf_check.floor", 1.0 / s.u_s),
+        "emf_check.floor_spin": to.at(FRAC16, "emf_check.spin_floor", 1.0 / s.u_s),
         "emf_check.resistance": to.of(GAIN, "resistance of the back-EMF check", resistance, "correct motor.r_s"),
         "emf_check.part": to.at(PART, "emf_check.part", 1.0),
         "emf_check.ticks_spin": to.ticks("emf_check.spin_time"),
@@ -163,29 +166,36 @@ def _start_up(to: Converter, start_up: StartUp) -> dict[str, Field]:
     speed_step = start_up.speed_final / s.speed * board.tick / start_up.speed_time
     across = start_up.current_final * axis("start_up.swing_current") / s.i
     fade = axis("limits.current") / s.i * board.tick / axis("start_up.fade_time")
-    current, ramp = "write a fraction of limits.current", "write a shorter ramp of the speed"
-    gentler = "lower start_up.swing_damping"
+    ramp = either("start_up.speed_time" if axis.given("start_up.speed_time") else "start_up.swings")
     return {
-        "startup.first_current": to.of(FRAC16, "start_up.current_first", start_up.current_first / s.i, current),
-        "startup.final_current": to.of(FRAC16, "start_up.current_final", start_up.current_final / s.i, current),
+        "startup.first_current": to.of(
+            FRAC16, "start_up.current_first", start_up.current_first / s.i, either("start_up.current_first")
+        ),
+        "startup.final_current": to.of(
+            FRAC16, "start_up.current_final", start_up.current_final / s.i, either("start_up.current_final")
+        ),
         "startup.current_step": to.of(
-            SLEW, "change of the start-up current per slow tick", slew, "correct current_time"
+            SLEW, "change of the start-up current per slow tick", slew, either("start_up.current_time")
         ),
         "startup.final_speed": to.of(
-            FRAC32, "start_up.speed_final", start_up.speed_final / s.speed, "correct limits.speed"
+            FRAC32, "start_up.speed_final", start_up.speed_final / s.speed, either("start_up.speed_final")
         ),
         "startup.speed_step": to.of(FRAC32, "change of the forced speed per slow tick", speed_step, ramp),
         "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", start_up.time_max / board.tick, ramp),
         "startup.tests": to.at(UINT16, "start_up.consecutive_tests", 1.0),
-        "startup.minimum_speed": to.of(FRAC32, "start_up.minimum_speed", start_up.minimum_speed / s.speed, "raise it"),
+        "startup.minimum_speed": to.of(
+            FRAC32, "start_up.minimum_speed", start_up.minimum_speed / s.speed, either("start_up.minimum_speed")
+        ),
         "startup.mean_min": to.at(UINT16_Q14, "start_up.mean_min", 1.0),
         "startup.mean_max": to.at(UINT16_Q14, "start_up.mean_max", 1.0),
-        "startup.damping": to.of(GAIN, "damping of the oscillation", start_up.damping * s.u_s / s.i, gentler),
-        "startup.damping_limit": to.of(
-            FRAC16, "start_up.swing_current", across, "write a fraction of the final current"
+        "startup.damping": to.of(
+            GAIN, "damping of the oscillation", start_up.damping * s.u_s / s.i, either("start_up.swing_damping")
         ),
+        "startup.damping_limit": to.of(FRAC16, "start_up.swing_current", across, either("start_up.swing_current")),
         "startup.catch_ticks": to.ticks("start_up.catch_time"),
-        "startup.fade_step": to.of(SLEW, "start_up.fade_time: current per slow tick", fade, "write a longer time"),
+        "startup.fade_step": to.of(
+            SLEW, "start_up.fade_time: current per slow tick", fade, either("start_up.fade_time")
+        ),
     }
 
 

@@ -11,7 +11,7 @@ from servo_msgs_py.tuning.block import block_of, constants_of
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
 from servo_msgs_py.tuning.conversion import AxisConstants, Converter, PiRaw
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.errors import ConfigError, lower, remedies_tried
 from servo_msgs_py.tuning.formats import FRAC32, GAIN
 from servo_msgs_py.tuning.gains import Gains, Pi
 from servo_msgs_py.tuning.linear import spectral_radius
@@ -133,17 +133,18 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
     ConfigError
         If a number does not fit its format, or a loop is unstable.
     """
-    result = _tuned(axis, configuration, {})
-    _refuse_unstable(result)
-    unstable = {
-        name: reason
-        for name, part in PARTS.items()
-        if name not in result.unusable and (reason := _instability(result, name)) is not None
-    }
-    for name, reason in unstable.items():
-        if PARTS[name].used(axis):
-            raise reason
-    return _tuned(axis, configuration, unstable) if unstable else result
+    with remedies_tried(configuration.table):
+        result = _tuned(axis, configuration, {})
+        _refuse_unstable(result)
+        unstable = {
+            name: reason
+            for name, part in PARTS.items()
+            if name not in result.unusable and (reason := _instability(result, name)) is not None
+        }
+        for name, reason in unstable.items():
+            if PARTS[name].used(axis):
+                raise reason
+        return _tuned(axis, configuration, unstable) if unstable else result
 
 
 def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, ConfigError]) -> Tuned:
@@ -276,4 +277,4 @@ def _refuse_unstable_shaft(design: Tuned, *, observed: bool) -> None:
 def _refuse_radius(design: Tuned, path: str, radius: float, how: str) -> None:
     if radius >= 1.0:
         reason = f"{how} is unstable, its largest pole has the magnitude {radius:.3f}"
-        raise design.axis.refused(path, reason, "lower it, or correct the motor data")
+        raise design.axis.refused(path, reason, lower(path), "correct the motor data")

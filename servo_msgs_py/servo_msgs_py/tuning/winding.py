@@ -14,6 +14,7 @@ from typing import Final
 
 from servo_msgs_py.tuning.configuration import Axis
 from servo_msgs_py.tuning.conversion import Converter, Field
+from servo_msgs_py.tuning.errors import either, higher, lower
 from servo_msgs_py.tuning.formats import FRAC16, Format
 
 COPPER: Final = 3.93e-3
@@ -115,35 +116,37 @@ def check_winding(axis: Axis) -> None:
     ConfigError
         If a check fails.
     """
-    for lower, higher in itertools.pairwise(("ambient", "derating", "maximum", "fault")):
-        if axis(f"winding.{lower}") >= axis(f"winding.{higher}"):
-            reason = f"not below winding.{higher} = {axis(f'winding.{higher}'):g} deg C"
-            raise axis.refused(f"winding.{lower}", reason, "write ambient, derating, maximum, fault in ascending order")
+    for below, above in itertools.pairwise(("ambient", "derating", "maximum", "fault")):
+        if axis(f"winding.{below}") >= axis(f"winding.{above}"):
+            reason = f"not below winding.{above} = {axis(f'winding.{above}'):g} deg C"
+            raise axis.refused(f"winding.{below}", reason, lower(f"winding.{below}"), higher(f"winding.{above}"))
     if axis("winding.initial") > axis("winding.maximum"):
         reason = f"above winding.maximum = {axis('winding.maximum'):g} deg C"
-        raise axis.refused("winding.initial", reason, "write the highest temperature of the motor at a reset")
+        raise axis.refused("winding.initial", reason, lower("winding.initial"))
     if not axis.given("winding.thermal_resistance"):
         return
     winding = Winding.of(axis)
     steady = winding.equilibrium(winding.rated)
     if steady - winding.ambient > _FIT * (winding.maximum - winding.ambient):
         reason = f"continuously it heats the winding to {steady:.4g} deg C, above winding.maximum = {winding.maximum:g}"
-        remedy = "use a lower value, or omit winding.thermal_resistance if it is not known"
-        raise axis.refused("motor.rated_current", reason, remedy)
+        advice = "omit winding.thermal_resistance if it is not known"
+        raise axis.refused("motor.rated_current", reason, lower("motor.rated_current"), advice)
 
 
 def winding_constants(to: Converter) -> dict[str, Field]:
     """Fields of ``winding_model_config_t``."""
     s, winding = to.s, Winding.of(to.axis)
     step = STEP_TICKS * to.board.tick
-    name, slower = "winding_model", "correct winding.heat_capacity or winding.thermal_resistance"
+    name, slower = "winding_model", [either("winding.heat_capacity")]
+    if to.axis.given("winding.thermal_resistance"):
+        slower.append(either("winding.thermal_resistance"))
     degrees = ("ambient", "initial", "derating", "maximum", "fault")
     return {
         f"{name}.heating": to.of(
-            _HEAT, "heating of the winding", winding.loss(s.i, COLD) * step / winding.capacity / FULL, slower
+            _HEAT, "heating of the winding", winding.loss(s.i, COLD) * step / winding.capacity / FULL, *slower
         ),
         f"{name}.cooling": to.of(
-            _HEAT, "cooling of the winding", step / (winding.resistance * winding.capacity), slower
+            _HEAT, "cooling of the winding", step / (winding.resistance * winding.capacity), *slower
         ),
         **{f"{name}.{key}": to.at(FRAC16, f"winding.{key}", 1.0 / FULL) for key in degrees},
         f"{name}.rated_current": to.at(FRAC16, "motor.rated_current", 1.0 / s.i),

@@ -1,0 +1,80 @@
+"""Every remedy that names a value is accepted: it leads to another refusal or to a configuration that works."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Iterator
+from typing import Any, Final
+
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from servo_msgs_py.tuning.acceptance import refusal_of
+from servo_msgs_py.tuning.errors import RAISE, Remedy, lower, refused, value_in, with_value
+from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
+from tuning_tool import table
+
+STEPS_MAX: Final = 12
+
+
+def entries() -> Iterator[tuple[str, Entry]]:
+    """Every number of the board and of axis 1 that the committed file has."""
+    for key, entry in BOARD.items():
+        yield f"board.{key}", entry
+    for group, keys in BOARD_GROUPS.items():
+        for key, entry in keys.items():
+            yield f"board.{group}.{key}", entry
+    for group, keys in AXIS_GROUPS.items():
+        for key, entry in keys.items():
+            yield f"axis1.{group}.{key}", entry
+
+
+ENTRIES: Final = {name: entry for name, entry in entries() if value_in(table(), name) is not None}
+
+
+@st.composite
+def changed(draw: st.DrawFn) -> dict[str, Any]:
+    """The committed configuration with up to three entries wrong by a factor."""
+    whole = table()
+    for name in draw(st.lists(st.sampled_from(sorted(ENTRIES)), min_size=1, max_size=3, unique=True)):
+        entry, value = ENTRIES[name], value_in(whole, name)
+        assert isinstance(value, (int, float))
+        new = value * math.exp(draw(st.floats(-6.0, 6.0)))
+        new = max(round(new), 1) if entry.whole else new
+        whole = with_value(whole, name, min(new, entry.maximum))
+    return whole
+
+
+@settings(max_examples=40, derandomize=True, deadline=None, phases=[Phase.generate])
+@given(changed(), st.integers(0, 3))
+def test_remedies_lead_to_an_accepted_configuration(whole: dict[str, Any], choice: int) -> None:
+    error, path = refusal_of(whole), []
+    while error is not None:
+        path.append(str(error))
+        assert len(path) < STEPS_MAX, path
+        remedies = error.remedies
+        if not remedies:  # data of the motor or of the board that no other value can correct
+            assert error.advice, path
+            return
+        remedy = remedies[choice % len(remedies)]
+        assert remedy.value is not None
+        assert f"{remedy.value:g}" in path[-1], "the message has the value"
+        whole = with_value(whole, remedy.entry, int(remedy.value) if remedy.whole else remedy.value)
+        again = refusal_of(whole)
+        assert again is None or again.entry != error.entry, (path, str(again))
+        error = again
+
+
+def test_a_refusal_keeps_its_values_in_another_process() -> None:
+    error = refusal_of(with_value(table(), "axis1.stop.time_max", 0.5))
+    assert error is not None
+    other = pickle.loads(pickle.dumps(error))
+    assert str(other) == str(error)
+    assert other.remedies == error.remedies
+    assert Remedy("axis1.stop.time_max", (RAISE,), 0.579) in other.remedies
+
+
+def test_entries_without_an_accepted_value_are_named() -> None:
+    error = refused("axis1.limits.speed", 600.0, "too high", lower("axis1.friction.smooth"))
+    error.try_with(with_value(table(), "axis1.limits.speed", 600.0))
+    assert str(error) == "axis1.limits.speed = 600: too high; no other value of axis1.friction.smooth alone is accepted"
