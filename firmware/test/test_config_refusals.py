@@ -316,7 +316,7 @@ OPTIONAL: dict[str, list[tuple[str, str, dict[str, object]]]] = {
         case("axis1.control.observer_bandwidth = 1000", "not within"),
     ],
     "axis1__features__friction": [
-        case("axis1.friction.smooth", "write axis1.friction.smooth = 0.016 or more", axis1__friction__smooth=0.01),
+        case("axis1.friction.smooth", "does not fit int32_t", axis1__friction__smooth=0.01),
     ],
     "axis1__features__over_speed": [
         case("axis1.limits.over_speed = 314", "314 rad/s"),
