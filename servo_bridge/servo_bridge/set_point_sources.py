@@ -13,9 +13,15 @@ from dataclasses import dataclass
 from typing import Final
 
 from servo_bridge.set_points import Rejected
+from servo_msgs_py import topics
 
 FRESH: Final = 1.0
 """Time for which a source counts as active after its last set-point [s]."""
+
+_STOP: Final = {
+    topics.JOINT_COMMANDS: "stop it (ros2_control: make the hardware inactive; without a controller it still publishes)"
+}
+"""How to stop a source, by topic."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +88,10 @@ class Sources:
         for axis, sources in active.items():
             topics = {each.topic for each in sources}
             if self.preferred != source.topic and self.preferred in topics:
+                stop = _STOP.get(self.preferred, "stop it")
                 raise Rejected(
                     f"{source.topic}: {self.preferred} commands {names[axis]} and has precedence (parameter "
-                    f"preferred_source); stop it and wait {FRESH:g} s"
+                    f"preferred_source); {stop} and wait {FRESH:g} s"
                 )
         for axis, sources in active.items():
             last = next(reversed(sources), source)
