@@ -1,0 +1,150 @@
+"""Motion that the commands of a user permit: how far and how fast each joint may move.
+
+A *command* is what a user has asked for: a goal of a controller that is active, until it is reached, aborted, replaced
+or cancelled; a value for a forward controller, until the next one; a path or a position on another topic of the bridge,
+until its end or a stop. Nothing else is a command: neither the activation of hardware or controllers, nor ``enable``, a
+restart or a reconnection, nor a message that a controller sends without one of these.
+
+A joint without a command may stop from its present speed, and otherwise not move farther than `RESERVE` or faster than
+`REST_SPEED`. With commands it may move within the range from its place to their targets, with their largest speed times
+`SPEED_FACTOR`. The rotor search of ``enable`` may turn the motor by `SEARCH`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES
+
+RESERVE: Final = 0.08
+"""Permitted distance from the permitted range [rad]: where a stream may join, and errors of the position control."""
+
+REST_SPEED: Final = 2.0
+"""Permitted speed without a command [rad/s]: a stream joins, the position controller settles."""
+
+SPEED_FACTOR: Final = 1.6
+"""Permitted speed relative to the commanded one: a stream makes up for its delay."""
+
+STOP_TIME: Final = 0.35
+"""Permitted distance of a stop, as a time at the present speed [s]."""
+
+DELAY: Final = 0.25
+"""Time until the end of a command takes effect [s]: delay of a stream, points in the queue of the board."""
+
+STOP_DELAY: Final = 0.05
+"""Time until a stop takes effect [s]: messages in transit."""
+
+SEARCH: Final = 0.8
+"""Permitted distance of a rotor search [rad of the motor]."""
+
+SEARCH_SPEED: Final = 40.0
+"""Permitted speed of a rotor search [rad/s of the motor]."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """State of all joints."""
+
+    time: float  # [s]
+    positions: tuple[float, ...]  # [rad]
+    velocities: tuple[float, ...]  # [rad/s]
+
+
+@dataclass
+class Command:
+    """A command to all joints."""
+
+    targets: tuple[float, ...]  # [rad]; infinite: no end
+    speeds: tuple[float, ...]  # largest ones [rad/s]
+    valid: Callable[[], bool]  # whether it has not ended
+    stopped: bool = True  # whether a stop of the bridge ends it
+    axes: set[int] = field(default_factory=lambda: set(range(AXES)))  # joints that it still moves
+    until: float = math.inf  # end of its effect [s]
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A motion that was not permitted."""
+
+    time: float  # [s]
+    axis: int
+    text: str  # motion and permission
+
+
+@dataclass
+class Permission:
+    """Permitted motion of all joints.
+
+    Parameters
+    ----------
+    limits : sequence of (float, float)
+        Lowest and highest position of each joint [rad].
+    ratios : sequence of float
+        Turns of the motor per turn of each joint.
+    """
+
+    limits: Sequence[tuple[float, float]]
+    ratios: Sequence[float]
+    commands: list[Command] = field(default_factory=list)
+    violations: list[Violation] = field(default_factory=list)  # the first one of each joint
+
+    def __post_init__(self) -> None:
+        self._ranges = [(-math.inf, math.inf)] * len(self.limits)
+        self._speeds = [math.inf] * len(self.limits)
+
+    def renew(self, motion: Motion, *, search: bool = False) -> None:
+        """Begin again at a state: permit a stop there, the commands that are valid, and the rotor search, if any."""
+        for axis, (position, velocity) in enumerate(zip(motion.positions, motion.velocities, strict=True)):
+            speed = abs(velocity)
+            reach = speed * STOP_TIME + (SEARCH / self.ratios[axis] if search else 0.0)
+            speeds = [1.1 * speed, REST_SPEED, *([SEARCH_SPEED / self.ratios[axis]] if search else [])]
+            low, high = position - reach, position + reach
+            for command in self.commands:
+                if axis not in command.axes:
+                    continue
+                low, high = min(low, command.targets[axis]), max(high, command.targets[axis])
+                speeds.append(SPEED_FACTOR * command.speeds[axis] + REST_SPEED)
+            self._ranges[axis], self._speeds[axis] = (low, high), max(speeds)
+
+    def begin(self, command: Command, motion: Motion) -> None:
+        """Permit a command, in addition to the valid ones."""
+        self.commands.append(command)
+        self.renew(motion)
+
+    def stop(self, motion: Motion, axes: Collection[int] = range(AXES), delay: float = STOP_DELAY) -> None:
+        """Stop joints; ends the commands that a stop ends, after the delay [s]."""
+        for command in [command for command in self.commands if command.stopped]:
+            rest = command.axes - set(axes)
+            if rest:
+                self.commands.append(replace(command, axes=rest))
+            command.axes -= rest
+            command.until = min(command.until, motion.time + delay)
+        self.renew(motion)
+
+    def update(self, motion: Motion) -> None:
+        """End the commands that are not valid any more; call it often."""
+        for command in self.commands:
+            if command.until == math.inf and not command.valid():
+                command.until = motion.time + DELAY
+        left = [command for command in self.commands if motion.time < command.until]
+        if len(left) < len(self.commands):
+            self.commands = left
+            self.renew(motion)
+
+    def check(self, motion: Motion) -> None:
+        """Record a violation."""
+        for axis, (position, velocity) in enumerate(zip(motion.positions, motion.velocities, strict=True)):
+            (low, high), (lowest, highest) = self._ranges[axis], self.limits[axis]
+            beyond = max(low - position, position - high)
+            text = ""
+            if not lowest - RESERVE <= position <= highest + RESERVE:
+                text = f"at {position:.3f} rad, outside its limits {lowest:.3f} .. {highest:.3f} rad"
+            elif beyond > RESERVE:
+                text = f"at {position:.3f} rad, {beyond:.3f} rad outside {low:.3f} .. {high:.3f} rad"
+            elif abs(velocity) > self._speeds[axis]:
+                text = f"moves at {velocity:.2f} rad/s, {self._speeds[axis]:.2f} rad/s are permitted"
+            if text and all(each.axis != axis for each in self.violations):
+                self.violations.append(Violation(motion.time, axis, text))

@@ -1,0 +1,128 @@
+"""No shaft moves without a command: sequences of commands of a user and of ros2_control, in simulated time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pytest
+from command_sequences import EVENTS, CommandSequence, Setup, Step
+from controllers.controllers import SUCCESSFUL
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+SETUPS = st.builds(
+    Setup,
+    rate=st.sampled_from([100.0, 50.0, 500.0]),
+    old_plugin=st.booleans(),
+    interpolate_from_desired_state=st.booleans(),
+    tolerances=st.sampled_from(["shipped", "path", "none"]),
+    baud=st.sampled_from([1_000_000, 115_200]),
+    gear_ratio=st.sampled_from([1.0, 3.0]),
+    direction=st.sampled_from([1, -1]),
+    limit=st.sampled_from([math.inf, 3.0]),
+    running=st.booleans(),
+) | st.builds(Setup, wraps=st.just(True), running=st.booleans())
+
+STEPS = st.builds(
+    Step,
+    event=st.sampled_from(EVENTS),
+    pause=st.sampled_from([0.7, 0.1, 0.3, 1.3]),
+    controller=st.sampled_from(["trajectory", "", "position", "velocity"]),
+    restart=st.booleans(),
+    distance=st.sampled_from([1.0, -0.5, 3.0, -2.0]),
+    time=st.sampled_from([0.6, 0.4, 1.2]),
+    velocities=st.booleans(),
+    topic=st.sampled_from(["path", "position"]),
+)
+
+
+CASES = {
+    "hardware active again, joint moved elsewhere": (
+        Setup(),
+        [Step("deactivate"), Step("move", 1.5, distance=2.0), Step("activate", controller="")],
+    ),
+    "hardware and controller active again, joint moved elsewhere": (
+        Setup(),
+        [Step("deactivate"), Step("move", 1.5, distance=2.0), Step("activate"), Step("goal")],
+    ),
+    "hardware that sends 0 started at an enabled joint": (
+        Setup(old_plugin=True, running=False),
+        [Step("enable"), Step("move", 1.5), Step("activate", controller="")],
+    ),
+    "board restarted under a controller that starts at its last command": (
+        Setup(interpolate_from_desired_state=True, tolerances="none"),
+        [Step("board restart", 1.0), Step("enable"), Step("goal", 1.5)],
+    ),
+    "goal of several turns": (
+        Setup(interpolate_from_desired_state=True),
+        [Step("goal", 2.5, distance=6.28, time=2.0)],
+    ),
+    "velocity controller after a trajectory controller": (
+        Setup(),
+        [Step("activate", controller="velocity"), Step("goal", 1.0, distance=2.0, time=1.0), Step("activate")],
+    ),
+    "velocity that its controller has left behind": (
+        Setup(),
+        [
+            Step("activate", controller="velocity"),
+            Step("goal", 1.0, distance=2.0, time=1.0),
+            Step("deactivate"),
+            Step("activate", controller=""),
+        ],
+    ),
+    "position controller after a trajectory controller": (
+        Setup(),
+        [Step("activate", controller="position"), Step("goal", 1.0), Step("goal", 1.0, distance=-2.0)],
+    ),
+    "stop and enable during a goal": (
+        Setup(tolerances="none"),
+        [Step("goal", 0.2, time=1.2), Step("quick stop", 0.3), Step("enable", 1.0)],
+    ),
+}
+
+
+@pytest.mark.parametrize(("setup", "steps"), CASES.values(), ids=CASES)
+def test_known_danger(setup: Setup, steps: Sequence[Step]) -> None:
+    sequence = CommandSequence(setup, steps)
+    assert not sequence.run(), sequence.log
+
+
+@pytest.mark.parametrize("baud", [1_000_000, 115_200])
+@pytest.mark.parametrize("rate", [50.0, 100.0, 500.0])
+@pytest.mark.parametrize(("gear_ratio", "direction"), [(1.0, 1), (3.0, -1)])
+def test_goals_are_reached(baud: int, rate: float, gear_ratio: float, direction: int) -> None:
+    setup = Setup(rate, baud=baud, gear_ratio=gear_ratio, direction=direction)
+    goals = [Step("goal", 1.2, distance=3.0), Step("goal", 1.2, distance=-3.0, velocities=True)]
+    sequence = CommandSequence(setup, goals)
+    violations, results = sequence.run(), sequence.results
+    assert not violations, sequence.log
+    assert results == [SUCCESSFUL] * 3
+
+
+def test_velocity_controller_turns_the_joint() -> None:
+    steps = [Step("activate", controller="velocity"), Step("goal", 2.0, distance=6.0, time=2.0)]
+    sequence = CommandSequence(Setup(), steps)
+    assert not sequence.run(), sequence.log
+    before, after = sequence.places[-2:]
+    assert abs(after[0] - before[0] - 6.0) < 0.8
+    assert abs(after[1] - before[1] + 6.0) < 0.8
+
+
+def test_motion_without_a_command_is_found() -> None:
+    violations = CommandSequence(Setup(), [Step("stranger", distance=0.5)]).run()
+    assert [violation.axis for violation in violations] == [0]
+
+
+@given(SETUPS, st.lists(STEPS, min_size=4, max_size=4))
+@settings(
+    max_examples=60,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    phases=[Phase.generate, Phase.shrink],
+    suppress_health_check=[HealthCheck.too_slow],
+)
+def test_no_motion_without_a_command(setup: Setup, steps: Sequence[Step]) -> None:
+    sequence = CommandSequence(setup, steps)
+    assert not sequence.run(), sequence.log
