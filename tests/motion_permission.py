@@ -74,7 +74,6 @@ class Violation:
     text: str  # motion and permission
 
 
-@dataclass
 class Permission:
     """Permitted motion of all joints.
 
@@ -86,21 +85,19 @@ class Permission:
         Turns of the motor per turn of each joint.
     """
 
-    limits: Sequence[tuple[float, float]]
-    ratios: Sequence[float]
-    commands: list[Command] = field(default_factory=list)
-    violations: list[Violation] = field(default_factory=list)  # the first one of each joint
-
-    def __post_init__(self) -> None:
-        self._ranges = [(-math.inf, math.inf)] * len(self.limits)
-        self._speeds = [math.inf] * len(self.limits)
+    def __init__(self, limits: Sequence[tuple[float, float]], ratios: Sequence[float]) -> None:
+        self.commands: list[Command] = []  # whose effect has not ended
+        self.violations: list[Violation] = []  # the first one of each joint
+        self._limits, self._ratios = limits, ratios
+        self._ranges = [(-math.inf, math.inf)] * AXES  # permitted positions [rad]
+        self._speeds = [math.inf] * AXES  # permitted speeds [rad/s]
 
     def renew(self, motion: Motion, *, search: bool = False) -> None:
         """Begin again at a state: permit a stop there, the commands that are valid, and the rotor search, if any."""
         for axis, (position, velocity) in enumerate(zip(motion.positions, motion.velocities, strict=True)):
             speed = abs(velocity)
-            reach = speed * STOP_TIME + (SEARCH / self.ratios[axis] if search else 0.0)
-            speeds = [1.1 * speed, REST_SPEED, *([SEARCH_SPEED / self.ratios[axis]] if search else [])]
+            reach = speed * STOP_TIME + (SEARCH / self._ratios[axis] if search else 0.0)
+            speeds = [1.1 * speed, REST_SPEED, *([SEARCH_SPEED / self._ratios[axis]] if search else [])]
             low, high = position - reach, position + reach
             for command in self.commands:
                 if axis not in command.axes:
@@ -137,7 +134,7 @@ class Permission:
     def check(self, motion: Motion) -> None:
         """Record a violation."""
         for axis, (position, velocity) in enumerate(zip(motion.positions, motion.velocities, strict=True)):
-            (low, high), (lowest, highest) = self._ranges[axis], self.limits[axis]
+            (low, high), (lowest, highest) = self._ranges[axis], self._limits[axis]
             beyond = max(low - position, position - high)
             text = ""
             if not lowest - RESERVE <= position <= highest + RESERVE:
