@@ -200,7 +200,7 @@ class Chain:
         return board
 
     def bridge(self, port: str | None = None, *, hangs: float = 0.0, **parameters: object) -> Process:
-        """Start a bridge; SIGUSR1 blocks its executor, but not its link thread, for `hangs` [s]."""
+        """Start a bridge; SIGUSR1 blocks its executor, not its link thread, for `hangs` [s], SIGUSR2 for a quarter."""
         arguments = parameter_arguments(port=port or self.port, baud=self.baud, **parameters)
         if not hangs:
             return self._start(BRIDGE, *arguments)
@@ -208,6 +208,7 @@ class Chain:
         code = (
             "import runpy, signal, time; "
             f"signal.signal(signal.SIGUSR1, lambda *_: time.sleep({hangs})); "
+            f"signal.signal(signal.SIGUSR2, lambda *_: time.sleep({hangs / 4.0})); "
             f"runpy.run_module({BRIDGE!r}, run_name='__main__')"
         )
         return self._launch(BRIDGE, [sys.executable, "-c", code, *arguments])

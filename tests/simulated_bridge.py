@@ -22,6 +22,7 @@ from typing import Any, Final, cast
 from unittest import mock
 
 from rclpy.node import Node
+from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.freemaster.line import Line
 from servo_bridge.parameters import PARAMETERS, settings_from
 from servo_bridge.supervisor import Supervisor
@@ -413,6 +414,7 @@ class BridgeSimulation:
             self._settings,
             lambda function: function(),
             make_link,
+            CallbackWatch(lambda: self._clock_ns() * 1e-9),
         )
         self.supervisor._arbiter.sources._clock = lambda: self._clock_ns() * 1e-9
         self.supervisor.activate()

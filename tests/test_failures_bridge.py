@@ -43,7 +43,9 @@ RAMP = SPEED / 4000.0  # s, at param.acceleration_limit after reset
 SETTLING = 0.05  # s, following error of the ramp
 AT_REST = 2.0  # rad/s
 HOLDING = 4 * 2.0 * math.pi / 4000  # rad, largest motion of a held shaft
-HANG = 1.2  # s
+HANG = 2.4  # s
+BUSY = HANG / 4.0  # s
+SIGN_OF_LIFE = 1.0  # s, longest time without one of the executor
 SUSPENSION = 5.0  # s
 
 Row = dict[str, float]
@@ -386,6 +388,18 @@ class TestRows:
         assert travel([stopped, *rig.user.rows(first)]) <= HOLDING
         rig.assert_restart_by_command_only()
 
+    def test_bridge_busy(self, rig: Rig) -> None:
+        """The executor is blocked for longer than the timeouts, but less than a second: the link feeds the board."""
+        assert TIMEOUT < BUSY < SIGN_OF_LIFE
+        bridge = rig.start_turning()
+        start = rig.last_snapshot_index()
+        bridge.send(signal.SIGUSR2)
+        rig.user.wait_board_time(BUSY + 1.0)
+        rows = rig.user.rows(start)
+        assert fault_names(rows[-1]) == [[], []]
+        assert rig.state == SPIN
+        rig.stop_set_points()
+
     def test_bridge_hung(self, rig: Rig) -> None:
         """The executor is blocked; the link thread continues to read, and publishes its samples afterwards."""
         bridge = rig.start_turning()
@@ -395,7 +409,8 @@ class TestRows:
         rows = rig.user.rows(start)
         assert_stop_after_last_set_point(rows)
         silent = next(row for row in rows if all("HOST_SILENT" in names for names in fault_names(row)))
-        assert seconds(silent["tick"] - rows[-1]["applied_tick"]) <= TIMEOUT + KEEP_ALIVE + RAMP + 0.1 + rig.exchanges
+        limit = SIGN_OF_LIFE + TIMEOUT + 2 * KEEP_ALIVE + RAMP + 0.1 + rig.exchanges
+        assert seconds(silent["tick"] - rows[-1]["applied_tick"]) <= limit
         assert fault_names(rows[-1]) == [["HOST_SILENT"]] * 2
         rig.wait_for_standstill()
         rig.assert_restart_by_command_only()

@@ -1,4 +1,4 @@
-"""Statuses of /diagnostics: link, board, axes, commands, parameters, storage."""
+"""Statuses of /diagnostics: link, board, axes, commands, parameters, storage, executor."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from servo_msgs_py.convert import diagnostic_status, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.value_text import value_text
 
+from servo_bridge.callback_watch import CallbackReport
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.telemetry import Snapshot
 from servo_bridge.trajectory.streamer import StreamReport
@@ -26,6 +27,9 @@ _ERROR: Final[bytes] = DiagnosticStatus.ERROR
 _TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused", "clock_disagreements")
 BOARD_COUNTERS: Final = ("late_loops", "receiver_overruns")
 """Error counters of the board, modulo 65536."""
+
+SLOW_CALLBACK: Final = 0.1
+"""Duration of a callback above which there is a warning [s]; set-points and paths wait for its end."""
 
 WINDING: Final = ("winding_temperature", "winding_current")
 """Variables of an axis for `Winding`."""
@@ -109,6 +113,7 @@ class Health:
                 "board resets": figures.resets,
                 "clock disagreements": figures.clock_disagreements,
                 "largest clock disagreement [s]": f"{figures.clock_disagreement_max:.3f}",
+                "longest silence to the board [ms]": f"{figures.silence.duration * 1e3:.0f}",
             },
         )
 
@@ -259,6 +264,25 @@ class Health:
         values = {"newest set": storage.sequence or "none", "values since the reset": _words(storage.source)}
         values |= {f"copy {name}": _words(copy) for name, copy in zip("AB", storage.copies, strict=True)}
         return self._status("storage", _WARN if storage.trouble else _OK, storage.text, values)
+
+    def executor(self, report: CallbackReport) -> DiagnosticStatus:
+        """Status of the thread that runs all callbacks of the node."""
+        slow = report.last.wall > SLOW_CALLBACK
+        return self._status(
+            "executor",
+            _WARN if slow else _OK,
+            f"longest callback in the last second: {report.last}",
+            {
+                "longest callback": report.last.name,
+                "longest callback [ms]": f"{report.last.wall * 1e3:.1f}",
+                "longest callback, processor time [ms]": f"{report.last.cpu * 1e3:.1f}",
+                "longest pause [ms]": f"{report.pause_last * 1e3:.0f}",
+                "longest callback since the start": report.ever.name,
+                "longest callback since the start [ms]": f"{report.ever.wall * 1e3:.1f}",
+                "longest callback since the start, processor time [ms]": f"{report.ever.cpu * 1e3:.1f}",
+                "longest pause since the start [ms]": f"{report.pause_ever * 1e3:.0f}",
+            },
+        )
 
     def _status(self, part: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
         return diagnostic_status(f"{self._node}: {part}", level, message, self._hardware, values)

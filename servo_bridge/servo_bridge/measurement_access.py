@@ -23,8 +23,8 @@ from servo_bridge.bursts.recording import Recording as BurstRecording
 from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
 from servo_bridge.tool_values import UnknownVariableError
+from servo_bridge.wire.keep_alive import kept_alive
 from servo_bridge.wire.session import Session, element_bytes
-from servo_bridge.wire.stop_at_connection import kept_alive
 
 _FAST, _SLOW = 0, 1
 _LEAD: Final = 0.2  # longer than the detection of the end of a recording, and its stop [s]

@@ -15,6 +15,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
 
 from servo_bridge.board_link import LinkFactory
+from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.entities import Entities
 from servo_bridge.parameters import PARAMETERS, ParameterError, declare, settings_from, values_of, watch
 from servo_bridge.supervisor import Supervisor
@@ -51,6 +52,7 @@ class ServoBridge(LifecycleNode):
         link_factory: LinkFactory = Link,
         **node_arguments: Any,
     ) -> None:
+        self.watch = CallbackWatch()  # of the executor; used by the entities that the base class creates
         super().__init__("servo_bridge", namespace="servo", **node_arguments)
         self.failure = ""  # reason of a fatal error; the loss of the board is not fatal
         self.finished = False  # whether a transition has shut it down
@@ -69,6 +71,26 @@ class ServoBridge(LifecycleNode):
                 self._start()
             else:
                 self.get_logger().info(f"unconfigured; to continue: ros2 lifecycle set /{full_name(self)} configure")
+
+    # ---- entities, whose callbacks are measured
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *arguments: Any, **options: Any
+    ) -> Any:
+        """As `Node.create_subscription`."""
+        timed = self.watch.timed(f"topic {topic}", callback)
+        return super().create_subscription(msg_type, topic, timed, *arguments, **options)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *arguments: Any, **options: Any
+    ) -> Any:
+        """As `Node.create_service`."""
+        timed = self.watch.timed(f"service {srv_name}", callback)
+        return super().create_service(srv_type, srv_name, timed, *arguments, **options)
+
+    def create_timer(self, period: float, callback: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        """As `Node.create_timer`."""
+        timed = self.watch.timed(f"timer {getattr(callback, '__qualname__', 'callback')}", callback)
+        return super().create_timer(period, timed, *arguments, **options)
 
     def shutdown(self) -> None:
         """Switch both axes off, close the port and destroy the node; takes a few seconds at most."""
@@ -127,7 +149,9 @@ class ServoBridge(LifecycleNode):
         settings = settings_from(values_of(self), self._catalogue)
         self._entities = Entities(self)
         try:
-            self.supervisor = Supervisor(self, self._catalogue, settings, self._call_soon, self._link_factory)
+            self.supervisor = Supervisor(
+                self, self._catalogue, settings, self._call_soon, self._link_factory, self.watch
+            )
         except ParameterError:
             self._entities.destroy()
             raise

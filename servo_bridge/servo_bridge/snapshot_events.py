@@ -10,6 +10,7 @@ from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
 
 from servo_bridge.telemetry import Snapshot
+from servo_bridge.wire.link_statistics import Silence
 
 _TIMEOUT: Final = "param.command_timeout"
 
@@ -29,6 +30,7 @@ class SnapshotEvents:
         self._catalogue = catalogue
         self._joints = joints
         self._expired = catalogue.flag("limits", "EXPIRED").mask
+        self._silent = catalogue.flag("faults", "HOST_SILENT").mask
 
     def faults(self, before: Snapshot | None, now: Snapshot) -> list[str]:
         """One message per new fault."""
@@ -38,6 +40,13 @@ class SnapshotEvents:
             for joint, old, new in zip(self._joints, words, now.faults, strict=True)
             for text in flag_texts(self._catalogue, "faults", new & ~old)
         ]
+
+    def host_silent(self, before: Snapshot | None, now: Snapshot, silence: Silence) -> str:
+        """Text of a new fault HOST_SILENT: which program was late; empty if there is none."""
+        words = before.faults if before is not None else now.faults
+        if not any(new & ~old & self._silent for old, new in zip(words, now.faults, strict=True)):
+            return ""
+        return f"HOST_SILENT: {silence.duration:.2f} s without a command or a keep-alive; {silence.cause}"
 
     def expired(self, before: Snapshot | None, now: Snapshot, parameters: RawParameters | None) -> list[str]:
         """One message per axis whose set-point has expired; the timeout is from the parameters."""

@@ -35,6 +35,7 @@ from servo_bridge.board_context import BoardContext
 from servo_bridge.board_link import BoardLink, LinkFactory
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
+from servo_bridge.callback_watch import HANG, CallbackWatch
 from servo_bridge.command_context import CommandContext
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.dispatcher import Dispatcher
@@ -46,7 +47,6 @@ from servo_bridge.health import Health, Winding
 from servo_bridge.homing import METHODS, Homing, with_home_states
 from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
-from servo_bridge.keep_alive import KeepAlive
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import Outcome, error_of
 from servo_bridge.parameter_sync import ParameterSync
@@ -69,6 +69,7 @@ from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_bridge.tuning.service import TuningService
 from servo_bridge.variable_topics import VariableTopics
 from servo_bridge.wire.board_clock import BoardClock, WallClock
+from servo_bridge.wire.keep_alive import keep_alive_period
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
 from servo_msgs_py import topics
 
@@ -76,6 +77,7 @@ _STOP_AT_CONNECTION: Final = CommandWrite(
     "cmd.quick_stop", 0, (1,) * AXES
 )  # first write of the link, see wire.stop_at_connection
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
+_SIGN_OF_LIFE: Final = 0.1  # period of the timer that shows that the executor runs [s]
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
 
 
@@ -94,6 +96,8 @@ class Supervisor:
         Schedules a function in the executor; may be called from any thread.
     link_factory : LinkFactory
         Creates the link to the board.
+    watch : CallbackWatch
+        Of the callbacks of the node.
 
     Raises
     ------
@@ -108,12 +112,14 @@ class Supervisor:
         settings: Settings,
         call_soon: Callable[[Callable[[], None]], object],
         link_factory: LinkFactory,
+        watch: CallbackWatch,
     ) -> None:
         self._node = node
+        self._watch = watch
         self._log = node.get_logger()
         self._catalogue = catalogue
         self._settings = settings
-        self._inbox = Inbox(call_soon)
+        self._inbox = Inbox(call_soon, watch.call)
         self._link = self._make_link(link_factory)
         self._context = BoardContext(
             catalogue, self._link.read, self._link.call, self._inbox.post, self._info, self._warn
@@ -177,7 +183,6 @@ class Supervisor:
         self._events = SnapshotEvents(catalogue, self._joints)
         self._parameter_sync = ParameterSync(self._context, self._link.write_raw, self._on_parameters)
         self._parameter_sync.request(settings.board_parameters)
-        self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
         self._fault_records = FaultRecords(self._context, self._on_fault_record)
         self._motion = MotionServices(self._context, self._joints, self._arbiter, self._dispatcher)
         self._homing = Homing(
@@ -222,6 +227,7 @@ class Supervisor:
                 self._catalogue,
                 on_sample=lambda sample: self._inbox.post(partial(self._on_sample, sample)),
                 on_state=lambda status: self._inbox.post(partial(self._on_link, status)),
+                hang=self._watch.hang,
             )
         except ValueError as error:
             raise ParameterError(f"parameter telemetry: {error}") from None
@@ -251,7 +257,7 @@ class Supervisor:
 
     def _start_timers(self) -> None:
         node, steady = self._node, Clock(clock_type=ClockType.STEADY_TIME)
-        self._keep_alive_timer = node.create_timer(self._keep_alive.period(), self._keep_alive.send, clock=steady)
+        node.create_timer(_SIGN_OF_LIFE, self._watch.sign_of_life, clock=steady)
         self._pace_keep_alive()
         node.create_timer(1.0, self._every_second, clock=steady)
         if self._settings.variables:
@@ -348,10 +354,7 @@ class Supervisor:
     def _pace_keep_alive(self) -> None:
         # Requested parameters may be effective on the board before they are read back.
         known = applied(self._settings.board_parameters, {}), self._parameter_sync.values or {}
-        period = round(self._keep_alive.period(*known) * 1e9)
-        if period != self._keep_alive_timer.timer_period_ns:
-            self._keep_alive_timer.timer_period_ns = period
-            self._keep_alive_timer.reset()
+        self._link.set_keep_alive_period(keep_alive_period(self._catalogue, *known))
 
     # ---- callbacks of the link
     def _on_link(self, status: LinkStatus) -> None:
@@ -395,6 +398,10 @@ class Supervisor:
             self._wall.refresh()  # the rate of simulated time may vary
         stamp = self._wall.stamp(self._board_clock.update(snapshot.tick, snapshot.response_ns))
         for text in self._events.faults(self._snapshot, snapshot):
+            self._log.error(text)
+        if any(snapshot.faults) and (
+            text := self._events.host_silent(self._snapshot, snapshot, self._link.statistics().silence)
+        ):
             self._log.error(text)
         for text in self._events.expired(self._snapshot, snapshot, self._parameter_sync.values):
             self._warn(text)
@@ -499,6 +506,9 @@ class Supervisor:
     def _every_second(self) -> None:
         if self._ended:
             return  # the timer was already due at the end
+        callbacks = self._watch.report()
+        if callbacks.pause_last > HANG:
+            self._warn(f"the executor gave no sign of life for {callbacks.pause_last:.1f} s; longest: {callbacks.last}")
         self._wall.refresh()
         self._commands.report_repetitions()
         health, snapshot = self._health, self._snapshot
@@ -518,6 +528,7 @@ class Supervisor:
             health.stream(self._streamer.report),
             health.parameters(self._parameter_sync.values, self._parameter_sync.trouble),
             health.storage(self._storage.storage),
+            health.executor(callbacks),
         ]
         self._diagnostics.publish(diagnostic_array(self._node.get_clock().now().nanoseconds, statuses))
         if self._status.state is LinkState.CONNECTED:

@@ -60,13 +60,14 @@ class FakeLink:
         *,
         on_sample: Callable[[Sample], None],
         on_state: Callable[[LinkStatus], None],
+        hang: Callable[[], str],
     ) -> None:
+        self.hang = hang
+        self.keep_alive_period = 0.0  # s
         self.config = config
         self.layout = ScopeLayout([catalogue[name] for name in config.telemetry])
         self.written: list[tuple[str, int, tuple[int, ...]]] = []
         self.reads: list[str] = []
-        self.commands: list[tuple[float, int]] = []  # application commands: time [s], code
-        self.answers_commands = True  # False: application commands are not answered
         self.final_writes: list[Any] = []
         self.ignores_writes = False
         self.connected = False
@@ -134,15 +135,8 @@ class FakeLink:
             done.set_exception(error)
         return done
 
-    def run_command(self, code: int, *, urgent: bool = False) -> Future[int]:
-        done: Future[int] = Future()
-        if not self.connected:
-            done.set_exception(LinkDownError("no link"))
-            return done
-        self.commands.append((time.monotonic(), code))
-        if self.answers_commands:
-            done.set_result(0)
-        return done
+    def set_keep_alive_period(self, period: float) -> None:
+        self.keep_alive_period = period
 
     def statistics(self) -> LinkStatistics:
         return self.link_statistics

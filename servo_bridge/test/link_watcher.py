@@ -23,8 +23,9 @@ class Watcher:
         self.states: list[LinkStatus] = []
         self.times: list[float] = []
         self.changed = threading.Condition()
+        self.hang = ""  # what the owner of the link hangs in
         config = replace(LinkConfig(url, telemetry=TELEMETRY, latency=0.1, backoff_max=0.2), **options)  # type: ignore[arg-type]
-        self.link = Link(config, CATALOGUE, on_sample=self._sample, on_state=self._state)
+        self.link = Link(config, CATALOGUE, on_sample=self._sample, on_state=self._state, hang=lambda: self.hang)
 
     def _sample(self, sample: Sample) -> None:
         with self.changed:

@@ -1,45 +1,30 @@
-"""Keep-alives of the node: their period, one at a time. A blocked node: test_failures_bridge.py."""
+"""Keep-alives of the link: their period, their loss, a hanging owner. A blocked node: test_failures_bridge.py."""
 
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future
 
 import pytest
 from bridge_rig import Rig
-from fake_servo import CATALOGUE
-from servo_bridge.keep_alive import KeepAlive
+from fake_servo import CATALOGUE, FakeServo
+from link_watcher import Watcher
+from servo_bridge.freemaster.commands import Command
+from servo_bridge.wire.keep_alive import KEEP_ALIVE_PERIOD, keep_alive_period, kept_alive
+from test_stop_at_connection import Wire
 
-pytestmark = pytest.mark.realtime
-
-CODE = CATALOGUE.bits["command"]["KEEP_ALIVE"]
-
-
-class Sent:
-    """Records sent keep-alives; the test answers them."""
-
-    def __init__(self) -> None:
-        self.futures: list[Future[int]] = []
-        self.subject = KeepAlive(CATALOGUE, self._run)
-
-    def _run(self, code: int, *, urgent: bool) -> Future[int]:
-        assert (code, urgent) == (CODE, True)
-        self.futures.append(Future())
-        return self.futures[-1]
+PERIOD_NS = round(KEEP_ALIVE_PERIOD * 1e9)
 
 
-@pytest.mark.parametrize("error", [None, TimeoutError("no answer")])
-def test_at_most_one_keep_alive_is_pending(error: Exception | None) -> None:
-    sent = Sent()
-    sent.subject.send()
-    sent.subject.send()
-    assert len(sent.futures) == 1
-    if error is None:
-        sent.futures[0].set_result(0)
-    else:
-        sent.futures[0].set_exception(error)
-    sent.subject.send()
-    assert len(sent.futures) == 2
+def signals(board: FakeServo) -> list[int]:
+    """Times of the keep-alives that the board has received [ns]."""
+    return [time_ns for time_ns, name in board.host_signals if name == "KEEP_ALIVE"]
+
+
+def read_for(wire: Wire, duration_ns: int) -> None:
+    """Read continuously for a time."""
+    until = wire.transport.clock() + duration_ns
+    while wire.transport.clock() < until:
+        wire.client.read_memory(wire.board.addresses["tick"], 4)
 
 
 @pytest.mark.parametrize(
@@ -47,31 +32,67 @@ def test_at_most_one_keep_alive_is_pending(error: Exception | None) -> None:
 )
 def test_period_allows_four_keep_alives_per_host_timeout(timeouts: list[float], period: float) -> None:
     known = [{"param.host_timeout": [CATALOGUE["param.host_timeout"].to_raw(timeout)]} for timeout in timeouts]
-    assert Sent().subject.period({}, *known) == pytest.approx(period)
+    assert keep_alive_period(CATALOGUE, {}, *known) == pytest.approx(period)
 
 
-def keep_alives(rig: Rig, duration: float) -> int:
-    """Number of keep-alives of the node during a time [s]."""
-    before, end = len(rig.link.commands), time.monotonic() + duration
-    rig.until(lambda: time.monotonic() > end)
-    assert {code for _, code in rig.link.commands} == {CODE}
-    return len(rig.link.commands) - before
+def test_keep_alives_fill_the_pauses_between_commands_only() -> None:
+    wire = Wire()
+    fed: list[int] = []
+    with kept_alive(wire.client, CATALOGUE, fed=fed.append) as keep_alive:
+        read_for(wire, 10 * PERIOD_NS)
+        assert 8 <= len(signals(wire.board)) <= 10
+        known = len(signals(wire.board))
+        for _ in range(20):
+            read_for(wire, PERIOD_NS // 2)
+            keep_alive.commanded()  # the write of a command
+        assert len(signals(wire.board)) <= known + 1
+        keep_alive.period = KEEP_ALIVE_PERIOD / 5
+        known = len(signals(wire.board))
+        read_for(wire, 2 * PERIOD_NS)
+        assert 8 <= len(signals(wire.board)) - known <= 10
+    assert len(fed) == len(signals(wire.board)) + 20
 
 
+def test_lost_answer_of_a_keep_alive_does_not_stop_the_traffic() -> None:
+    wire = Wire()
+    wire.client.identify()
+    with kept_alive(wire.client, CATALOGUE):
+        read_for(wire, 3 * PERIOD_NS)  # measures the delay of the line
+        lost: list[int] = []
+
+        def lose(command: int) -> bool:
+            if command != Command.SENDAPPCMD or lost:
+                return False
+            lost.append(wire.transport.clock())
+            return True
+
+        wire.lose = lose
+        read_for(wire, 3 * PERIOD_NS)
+        assert lost
+        assert min(time_ns for time_ns in signals(wire.board) if time_ns > lost[0]) - lost[0] < 20_000_000
+
+
+@pytest.mark.realtime
+def test_link_feeds_the_board_only_while_its_owner_is_alive(connected: Watcher, fake_board: FakeServo) -> None:
+    connected.wait(lambda: len(signals(fake_board)) >= 3)
+    connected.hang = "timer Supervisor._slow has been running for 1.1 s in the thread of the executor"
+    connected.wait_samples(1)
+    known = len(signals(fake_board))
+    end = time.monotonic() + 5 * KEEP_ALIVE_PERIOD
+    connected.wait(lambda: time.monotonic() > end)
+    assert len(signals(fake_board)) <= known + 1
+    connected.hang = ""
+    connected.wait(lambda: len(signals(fake_board)) > known + 1)
+    silence = connected.link.statistics().silence
+    assert silence.duration > 4 * KEEP_ALIVE_PERIOD
+    assert "the bridge was late: timer Supervisor._slow" in silence.cause
+
+
+@pytest.mark.realtime
 def test_keep_alive_period_follows_the_host_timeout_of_the_board() -> None:
-    with Rig() as rig:
+    with Rig(board_parameters=["param.host_timeout=0.2"]) as rig:
+        assert rig.link.keep_alive_period == pytest.approx(0.05)  # before it is written
         rig.link.parameters["param.host_timeout"] = [CATALOGUE["param.host_timeout"].to_raw(0.5)]
         rig.connect()
-        assert 5 <= keep_alives(rig, 1.0) <= 11
         assert rig.set_parameter("board_parameters", ["param.host_timeout=0.08"])[0]
-        assert 25 <= keep_alives(rig, 1.0) <= 51
-        rig.link.answers_commands = False
-        assert keep_alives(rig, 0.3) <= 1
-
-
-def test_requested_shorter_host_timeout_applies_before_it_is_written() -> None:
-    with Rig(board_parameters=["param.host_timeout=0.08"]) as rig:
-        rig.link.rejected_parameter = "param.host_timeout"
-        rig.link.parameters["param.host_timeout"] = [CATALOGUE["param.host_timeout"].to_raw(0.5)]
-        rig.connect()
-        assert keep_alives(rig, 0.5) >= 13
+        rig.until(lambda: rig.link.keep_alive_period == pytest.approx(0.02))

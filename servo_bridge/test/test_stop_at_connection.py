@@ -11,8 +11,9 @@ from fake_transport import FakeTransport, client_on
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import Command, send_command
 from servo_bridge.freemaster.errors import AnswerTimeoutError
+from servo_bridge.wire.keep_alive import KEEP_ALIVE_PERIOD
 from servo_bridge.wire.session import connect
-from servo_bridge.wire.stop_at_connection import KEEP_ALIVE_PERIOD, stopped_at_connection
+from servo_bridge.wire.stop_at_connection import stopped_at_connection
 
 HOST_TIMEOUT_NS = 500_000_000
 BYTES_MAX = 300  # of the longest exchange, request and answer with escape bytes

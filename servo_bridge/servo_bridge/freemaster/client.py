@@ -246,8 +246,11 @@ class Client:
 
     # ---- application commands ---------------------------------------------------------------------------------
 
-    def run_command(self, code: int, arguments: bytes = b"", *, timeout: float = 1.0) -> int:
+    def run_command(self, code: int, arguments: bytes = b"", *, timeout: float = 1.0, repeatable: bool = False) -> int:
         """Run an application command and wait for its result, at most `timeout` [s].
+
+        A `repeatable` command is quick and harmless if executed twice: its responses are awaited for the measured delay
+        of the line, as those of a read; others for the full timeout.
 
         Raises
         ------
@@ -259,25 +262,25 @@ class Client:
             If the target refuses it.
         """
         limit = self.line.clock() + round(timeout * 1e9)
-        request = self._dialect.send_command(code, arguments)
+        request = self._dialect.send_command(code, arguments, repeatable=repeatable)
         try:
-            self._data(request)
+            self.exchange(request, retries=0)
         except (AnswerTimeoutError, DamagedAnswerError):
             # It may have been received but not executed: targets execute it when the status is read, so read it now.
             with suppress(FreemasterError):
-                self.exchange(self._dialect.get_command_status(), retries=0)
+                self.exchange(self._dialect.get_command_status(repeatable=repeatable), retries=0)
             raise
         except StatusError as error:
             if error.code != Status.BUSY:
                 raise
             # A command of another client is pending whose result was not read.
-            self._command_result(code, limit, timeout)
+            self._command_result(code, limit, timeout, repeatable)
             self._data(request)
-        return self._command_result(code, limit, timeout)
+        return self._command_result(code, limit, timeout, repeatable)
 
-    def _command_result(self, code: int, limit: int, timeout: float) -> int:
+    def _command_result(self, code: int, limit: int, timeout: float, repeatable: bool) -> int:
         while True:
-            result = self._data(self._dialect.get_command_status())[0]
+            result = self._data(self._dialect.get_command_status(repeatable=repeatable))[0]
             if result != commands.COMMAND_RUNNING:
                 return result
             if self.line.clock() >= limit:

@@ -193,16 +193,16 @@ def parse_size(data: bytes) -> int:
     return decode_uleb(data)[0]
 
 
-def send_command(code: int, arguments: bytes = b"") -> Request:
-    """Start an application command; not repeated automatically."""
+def send_command(code: int, arguments: bytes = b"", *, repeatable: bool = False) -> Request:
+    """Start an application command; `repeatable`: it is quick, and harmless if executed twice."""
     if not 0 <= code < COMMAND_IDLE:
         raise CodecError(f"application command {code} is not 0 .. 254")
-    return Request(f"SENDAPPCMD {code}", Command.SENDAPPCMD, bytes((code,)) + arguments, 0, idempotent=False)
+    return Request(f"SENDAPPCMD {code}", Command.SENDAPPCMD, bytes((code,)) + arguments, 0, idempotent=repeatable)
 
 
-def get_command_status() -> Request:
-    """Read the result of the last application command; some targets execute it only now."""
-    return Request("GETAPPCMDSTS", Command.GETAPPCMDSTS, b"", 1, lengthy=True)
+def get_command_status(*, repeatable: bool = False) -> Request:
+    """Read the result of the last application command, which some targets execute only now; see `send_command`."""
+    return Request("GETAPPCMDSTS", Command.GETAPPCMDSTS, b"", 1, lengthy=not repeatable)
 
 
 def get_command_data(size: int, offset: int = 0) -> Request:

@@ -106,12 +106,12 @@ class MemoryForm:
         """Read the length of the text at `address`."""
         return Request(f"GETSTRLEN 0x{address:X}", self._code(0xD4, 0xE6), self.address(address), 2, framing=V3)
 
-    def send_command(self, code: int, arguments: bytes) -> Request:
-        """Start an application command; not repeated automatically."""
+    def send_command(self, code: int, arguments: bytes, *, repeatable: bool = False) -> Request:
+        """Start an application command; see `commands.send_command`."""
         if not 0 <= code < COMMAND_IDLE:
             raise CodecError(f"application command {code} is not 0 .. 254")
-        return Request(f"SENDAPPCMD {code}", 0x10, bytes((code,)) + arguments, 0, idempotent=False, framing=V3)
+        return Request(f"SENDAPPCMD {code}", 0x10, bytes((code,)) + arguments, 0, idempotent=repeatable, framing=V3)
 
-    def get_command_status(self) -> Request:
-        """Read the result of the last application command; some targets execute it only now."""
-        return Request("GETAPPCMDSTS", 0xC6, b"", 1, framing=V3, lengthy=True)
+    def get_command_status(self, *, repeatable: bool = False) -> Request:
+        """Read the result of the last application command; see `commands.get_command_status`."""
+        return Request("GETAPPCMDSTS", 0xC6, b"", 1, framing=V3, lengthy=not repeatable)

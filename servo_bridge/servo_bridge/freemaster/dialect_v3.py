@@ -97,11 +97,11 @@ class DialectV3:
     def parse_size(self, data: bytes) -> int:
         return self._form.value(data)
 
-    def send_command(self, code: int, arguments: bytes) -> Request:
-        return self._form.send_command(code, arguments)
+    def send_command(self, code: int, arguments: bytes, *, repeatable: bool = False) -> Request:
+        return self._form.send_command(code, arguments, repeatable=repeatable)
 
-    def get_command_status(self) -> Request:
-        return self._form.get_command_status()
+    def get_command_status(self, *, repeatable: bool = False) -> Request:
+        return self._form.get_command_status(repeatable=repeatable)
 
     def exchange_pipe(self, payload: bytes) -> Request:
         return commands_v3.exchange_pipe(payload)

@@ -63,6 +63,7 @@ class ClientStatistics:
     stray_bytes: int = 0
     bytes_out: int = 0
     bytes_in: int = 0
+    waited_ns: int = 0  # waiting for responses, each up to its timeout
 
 
 @dataclass(frozen=True)
@@ -224,8 +225,10 @@ class Line:
         if allowance < self._latency_ns:
             deadline += answer_size * self._byte_ns
         while True:
+            begin_ns = self.clock()
             chunk = self._transport.read(deadline)
             response_ns = self.clock()
+            statistics.waited_ns += max(min(response_ns, deadline) - begin_ns, 0)
             if chunk:
                 statistics.bytes_in += len(chunk)
                 count += len(chunk)

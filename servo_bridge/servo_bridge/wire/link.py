@@ -29,6 +29,7 @@ from servo_bridge.freemaster.errors import (
 from servo_bridge.freemaster.line import Line
 from servo_bridge.wire.board_clock import TickExtender
 from servo_bridge.wire.boot_token import agreed_boot_token
+from servo_bridge.wire.keep_alive import KEEP_ALIVE_PERIOD, KeepAlive, kept_alive
 from servo_bridge.wire.link_config import TICK, FinalWrite, LinkConfig, Port, WriteResult
 from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
 from servo_bridge.wire.link_state import LinkState, LinkStatus, status_of
@@ -60,6 +61,8 @@ _MAX_DAMAGED: Final = 10
 _NEXT_WRITE: Final = 0.4
 """Pause after a sample that confirms a write, as a fraction of its round trip: lets the owner queue its next write
 before the next sample is requested."""
+_PAUSE_MIN: Final = 0.01
+"""Pause before the next attempt of a keep-alive that is withheld [s]."""
 
 
 class _StopError(Exception):
@@ -79,6 +82,9 @@ class Link:
         Receives every sample, in the thread of the link; must be fast.
     on_state : callable
         Receives every change of the state, in the thread of the link.
+    hang : callable
+        Text if the owner, which sends the commands, hangs; else empty. Called in the thread of the link. Keep-alives
+        are withheld then, so that the board stops its axes.
     open_port : callable
         Opens a port from URL and baud rate.
 
@@ -95,12 +101,17 @@ class Link:
         *,
         on_sample: Callable[[Sample], None],
         on_state: Callable[[LinkStatus], None],
+        hang: Callable[[], str] = lambda: "",
         open_port: Callable[[str, int], Port] = SerialPort,
     ) -> None:
         self._config = config
         self._catalogue = catalogue
         self._on_sample = on_sample
         self._on_state = on_state
+        self._hang = hang
+        self._hung = False
+        self._keep_alive: KeepAlive | None = None
+        self._keep_alive_period = KEEP_ALIVE_PERIOD
         self._open_port = open_port
         names = tuple(dict.fromkeys((TICK, *config.telemetry)))
         unknown = [name for name in names if name not in catalogue.variables]
@@ -216,6 +227,8 @@ class Link:
             with explained(self._catalogue, variable, data, offset):
                 exchange = client.write_memory(self._variable(name).address + offset, data, lengthy=lengthy)
             self._statistics.wrote()
+            if lengthy and self._keep_alive is not None:
+                self._keep_alive.commanded()
             return WriteResult(name, exchange.request_ns, exchange.response_ns, self._reader.last_tick)
 
         job = Job(run, key=f"{name} {first} {len(raw)}", write=True)
@@ -248,11 +261,12 @@ class Link:
         self._queue.put(job)
         return job.done
 
-    def run_command(self, code: int, arguments: bytes = b"", *, urgent: bool = False) -> Future[int]:
-        """Run an application command; the future has its result. It is sent once and never repeated."""
-        job = Job(lambda client: client.run_command(code, arguments), write=True, retried=False)
-        self._queue.put(job, urgent=urgent)
-        return job.done
+    def set_keep_alive_period(self, period: float) -> None:
+        """Set the longest time without a command or a keep-alive [s]."""
+        self._keep_alive_period = period
+        keep_alive = self._keep_alive
+        if keep_alive is not None:
+            keep_alive.period = period
 
     def drop_writes(self) -> int:
         """Cancel all waiting writes that are not urgent; returns their number."""
@@ -329,8 +343,11 @@ class Link:
         self._set_status(LinkStatus(LinkState.CONNECTED, f"connected to {name} at {self._config.url}"))
         self._deliver(first)
         try:
-            self._loop(client, reader)
+            with kept_alive(client, self._catalogue, self._withheld, self._statistics.fed) as self._keep_alive:
+                self.set_keep_alive_period(self._keep_alive_period)
+                self._loop(client, reader, self._keep_alive)
         finally:
+            self._keep_alive = None
             line.work_off()
         self._write_last(client)
         raise _StopError
@@ -344,7 +361,17 @@ class Link:
         self._token = token
         return ScopeReader(session, self.layout, self._extender, token, self._statistics.clocks_disagree)
 
-    def _loop(self, client: Client, reader: ScopeReader) -> None:
+    def _withheld(self) -> bool:
+        """Whether keep-alives are withheld because the owner hangs."""
+        reason = self._hang()
+        if reason:
+            self._statistics.withheld(reason)
+            if not self._hung:
+                _LOG.error("no more keep-alives: %s; the board stops its axes", reason)
+        self._hung = bool(reason)
+        return self._hung
+
+    def _loop(self, client: Client, reader: ScopeReader, keep_alive: KeepAlive) -> None:
         """Alternate between one job and one sample until the owner requests a stop.
 
         A sample is delivered to the owner while the next request is being transmitted; after a sample that confirms a
@@ -358,7 +385,8 @@ class Link:
         silent_ns = 0
         wrote, grace = False, 0.0
         while not self._stop.is_set():
-            pause = max(grace, (due - time.monotonic_ns()) * 1e-9)
+            keep_alive()
+            pause = max(grace, min((due - time.monotonic_ns()) * 1e-9, max(keep_alive.remaining, _PAUSE_MIN)))
             grace = 0.0
             if pause > 0.0:
                 line.work_off()
@@ -392,11 +420,8 @@ class Link:
     def _execute(self, job: Job, client: Client) -> None:
         try:
             job.execute(client)
-        except (AnswerTimeoutError, DamagedAnswerError):
-            if job.retried:
-                raise
-        except (TransportError, WrongProtocolError):
-            raise
+        except (AnswerTimeoutError, DamagedAnswerError, TransportError, WrongProtocolError):
+            raise  # requests have been repeated: the link is lost
         except Exception:
             return  # reported by the future; the line works
 

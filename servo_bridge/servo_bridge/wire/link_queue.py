@@ -27,7 +27,6 @@ class Job:
     run: Callable[[Client], Any]  # the work, in the thread of the link
     key: str = ""  # written variable and elements; a later ``latest_wins`` job with the same key replaces it
     write: bool = False  # writes precede reads
-    retried: bool = True  # unanswered requests are repeated, so a failure means the loss of the link
     done: Future[Any] = field(default_factory=Future)
 
     def execute(self, client: Client) -> None:

@@ -14,6 +14,27 @@ _ROUND_TRIPS: Final = 2000
 
 
 @dataclass(frozen=True)
+class Silence:
+    """Time between two successive commands or keep-alives that the board has acknowledged, and its cause."""
+
+    duration: float = 0.0  # [s]
+    waited: float = 0.0  # part of it in which the bridge waited for responses of the board [s]
+    withheld: str = ""  # reason for which keep-alives were withheld; else empty
+
+    @property
+    def cause(self) -> str:
+        """The program that was late, in words."""
+        if self.withheld:
+            return f"the bridge was late: {self.withheld}"
+        if self.waited > 0.5 * self.duration:
+            return f"the board or its line was late: no response for {self.waited:.2f} s"
+        return (
+            f"the process of the bridge was late: for {self.duration - self.waited:.2f} s it did not run (the computer "
+            "is overloaded or was suspended, or the process was stopped)"
+        )
+
+
+@dataclass(frozen=True)
 class LinkStatistics:
     """Figures of the link."""
 
@@ -36,6 +57,7 @@ class LinkStatistics:
     waiting: int = 0  # jobs in the queue
     clock_disagreements: int = 0  # samples whose tick disagreed with the host clock, although the board was not reset
     clock_disagreement_max: float = 0.0  # largest disagreement, beyond what is normal [s]
+    silence: Silence = Silence()  # longest one that ended in the last 2 s
 
 
 class StatisticsCollector:
@@ -52,6 +74,9 @@ class StatisticsCollector:
         self._writes = 0
         self._disagreements = 0
         self._disagreement_ns = 0
+        self._fed: tuple[int, int] | None = None  # last command or keep-alive: time and waiting time until then [ns]
+        self._withheld = ""  # since then
+        self._silences: deque[tuple[int, Silence]] = deque()  # of the last 2 s, with their ends [ns]
 
     @property
     def counters(self) -> ClientStatistics:
@@ -63,6 +88,7 @@ class StatisticsCollector:
         with self._lock:
             self._connections += 1
             self._marks.clear()
+            self._fed, self._withheld = None, ""
 
     def reset_seen(self) -> None:
         """Count a reset of the board."""
@@ -79,6 +105,22 @@ class StatisticsCollector:
         """Count an acknowledged write."""
         with self._lock:
             self._writes += 1
+
+    def withheld(self, reason: str) -> None:
+        """A keep-alive is due but is not sent, for this reason."""
+        with self._lock:
+            self._withheld = reason
+
+    def fed(self, now_ns: int) -> None:
+        """The board has acknowledged a command or a keep-alive, at a monotonic time [ns]."""
+        with self._lock:
+            waited_ns = self._counters.waited_ns
+            if self._fed is not None:
+                duration, waited = now_ns - self._fed[0], waited_ns - self._fed[1]
+                self._silences.append((now_ns, Silence(duration * 1e-9, waited * 1e-9, self._withheld)))
+                while now_ns - self._silences[0][0] > _WINDOW_NS:
+                    self._silences.popleft()
+            self._fed, self._withheld = (now_ns, waited_ns), ""
 
     def sampled(self, request_ns: int, response_ns: int) -> None:
         """Count a sample."""
@@ -112,6 +154,7 @@ class StatisticsCollector:
                 c.timeouts, c.crc_errors, c.damaged, c.retries, c.refused, c.stray_bytes,
                 _percentile(trips, 50), _percentile(trips, 99), _percentile(trips, 100),
                 self._writes, waiting, self._disagreements, self._disagreement_ns * 1e-9,
+                max((each for _, each in self._silences), key=lambda each: each.duration, default=Silence()),
             )  # fmt: skip
 
 

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_bridge.freemaster.client import Client
-from servo_bridge.freemaster.errors import (
-    AnswerTimeoutError,
-    CommandUnfinishedError,
-    DamagedAnswerError,
-    Status,
-    StatusError,
-)
-
-KEEP_ALIVE_PERIOD: Final = 0.1
-"""Period of keep-alives [s]; a longer exchange is not interrupted."""
+from servo_bridge.freemaster.errors import Status, StatusError
+from servo_bridge.wire.keep_alive import kept_alive
 
 _NAME: Final = b"servo"
 """Name of a servo board; other devices receive no commands."""
@@ -50,39 +42,3 @@ def stopped_at_connection(client: Client, catalogue: Catalogue) -> Iterator[None
             raise
     with kept_alive(client, catalogue):
         yield
-
-
-@contextmanager
-def kept_alive(client: Client, catalogue: Catalogue) -> Iterator[Callable[[], None]]:
-    """Send a keep-alive before an exchange of a client whenever `KEEP_ALIVE_PERIOD` has elapsed.
-
-    Yields
-    ------
-    callable
-        Sends a keep-alive if it is due, for times without exchanges.
-    """
-    client.before_exchange = when_due = _keep_alive(client, catalogue.bits["command"]["KEEP_ALIVE"])
-    try:
-        yield when_due
-    finally:
-        client.before_exchange = None
-
-
-def _keep_alive(client: Client, code: int) -> Callable[[], None]:
-    clock, period = client.line.clock, round(KEEP_ALIVE_PERIOD * 1e9)
-    due = clock() + period
-
-    def when_due() -> None:
-        nonlocal due
-        if clock() < due:
-            return
-        due = clock() + period
-        client.before_exchange = None  # the keep-alive is an exchange itself
-        try:
-            # The next keep-alive follows; the loss of the line is reported by the pending request.
-            with suppress(AnswerTimeoutError, CommandUnfinishedError, DamagedAnswerError, StatusError):
-                client.run_command(code)
-        finally:
-            client.before_exchange = when_due
-
-    return when_due
