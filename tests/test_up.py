@@ -16,6 +16,7 @@ import pytest
 from chain import DOMAIN, ros_user
 from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
+from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, executable
 from servo_twin.up import Stack, main, parser
 
@@ -32,14 +33,23 @@ NOT_CONNECTED = """
 from servo_twin import up
 from servo_twin.processes import wait_until
 
-def wait_from_no_port_on(stack, child, *what):
-    wait_until(lambda: "does not exist" in child.text(), stack.children, 60.0)
-    return wait(stack, child, *what)
+def announce_from_no_port_on(stack):
+    wait_until(lambda: any("does not exist" in child.text() for child in stack.children), stack.children, 60.0)
+    return announce(stack)
 
-up._CONNECT_TIMEOUT, wait = 0.5, up.Stack.wait
-up.Stack.wait = wait_from_no_port_on
+up._PATIENCE, announce = 0.5, up.Stack.announce
+up.Stack.announce = announce_from_no_port_on
 """
-"""Patch: the connection time-out starts when the bridge reports the missing port, and is short."""
+"""Patch: the time for the connection starts when the bridge reports the missing port, and is short."""
+SLOW_BOARD = """
+from servo_twin import up
+
+start = up.Stack.start
+up.Stack.start = lambda stack, name, *arguments: start(
+    stack, name, *arguments, *(("--speed", "0.6") if name == "virtual_board" else ())
+)
+"""
+"""Patch: board time runs at 0.6 of real time, as on a machine that is too slow."""
 BOTH = ["axis1", "axis2"]
 
 
@@ -120,9 +130,11 @@ def test_processes_run_without_a_board_until_one_ends(started: list[Up], tmp_pat
     assert left_behind(up.mark) == []
 
 
-def test_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
+def test_demonstration_moves_records_and_draws_where_board_time_is_slow(tmp_path: Path) -> None:
+    (tmp_path / "demo.png").write_text("of another run")
+    program = [sys.executable, "-c", f"{SLOW_BOARD}\n{MAIN}"]
     result = subprocess.run(
-        [str(executable("servo-up")), "--demo", *IDEAL, "--domain-id", str(DOMAIN), "--out", str(tmp_path)],
+        [*program, "--demo", *IDEAL, "--domain-id", str(DOMAIN), "--out", str(tmp_path)],
         env={**os.environ, MARK: str(tmp_path), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         capture_output=True,
         text=True,
@@ -133,10 +145,67 @@ def test_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
     assert "both axes reached their targets" in result.stdout
     figures = json.loads((tmp_path / "demo.json").read_text())
     assert figures["trouble"] is None
+    assert figures["board_time_per_real_time"] < 0.65
+    assert "board time ran at 0." in result.stdout
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
     verify = [str(executable("rerun")), "rrd", "verify", str(tmp_path / "demo.rrd")]
     assert subprocess.run(verify, capture_output=True, check=False).returncode == 0
     assert left_behind(str(tmp_path)) == []
+
+
+@pytest.mark.parametrize(("status", "drawn"), [(0, True), (1, False), (2, False)])
+def test_a_failed_demonstration_leaves_no_picture(
+    status: int, drawn: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture, record = tmp_path / "demo.png", tmp_path / "demo.rrd"
+    picture.write_text("of another run")
+    monkeypatch.setattr(up_module, "_start_all", lambda *_: record.touch())
+    monkeypatch.setattr(up_module, "_run_demo", lambda *_: status)
+    monkeypatch.setattr(up_module, "_finish_demo", lambda *_: picture.write_text("new"))
+    assert main(["--demo", *IDEAL, "--out", str(tmp_path)]) == status
+    assert picture.exists() == drawn
+    assert ("not complete; no picture" in capsys.readouterr().out) != drawn
+
+
+@pytest.mark.parametrize(
+    ("options", "speed", "boards", "level"),
+    [
+        ([], 1.9, 2, "ideal"),
+        ([], 2.1, 2, "registers"),
+        (["--port", "/dev/ttyUSB0"], 1.9, 1, "ideal"),
+        (["--level", "registers"], 1.9, 0, "registers"),
+    ],
+)
+def test_a_slow_machine_gets_the_fast_level(
+    options: list[str],
+    speed: float,
+    boards: int,
+    level: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    measured: list[int] = []
+
+    def measure(_: str, count: int) -> float:
+        measured.append(count)
+        return speed
+
+    environments: list[dict[str, str]] = []
+    monkeypatch.delenv("SERVO_TWIN_LEVEL", raising=False)
+    monkeypatch.setattr(up_module, "simulation_speed", measure)
+    monkeypatch.setattr(up_module, "_refuse_second_bridge", lambda *_: None)
+    monkeypatch.setattr(up_module, "_start_all", lambda stack, *_: environments.append(stack.environment))
+    monkeypatch.setattr(up_module, "_wait_for_stop", lambda *_: signal.raise_signal(signal.SIGINT))
+    assert main([*options, "--out", str(tmp_path)]) == 0
+    assert environments[0]["SERVO_TWIN_LEVEL"] == level
+    assert measured == [boards] * bool(boards)
+    assert ("only 1.9 times as fast" in capsys.readouterr().out) == (level == "ideal")
+
+
+def test_speed_of_the_machine_is_measured() -> None:
+    assert simulation_speed("ideal", 2) > 1.0
+    assert [level_for(speed) for speed in (SPEED_MIN, 0.99 * SPEED_MIN)] == ["registers", "ideal"]
 
 
 def test_the_demonstration_never_moves_a_real_board(capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,15 +37,17 @@ from servo_bridge.trajectory.shapes import lissajous
 
 TURN: Final = 2.0 * math.pi
 _HOLD: Final = 0.25  # time within the tolerance of the target before the next move [s]
-_APPLY_TIMEOUT: Final = 2.0  # from the publication of a set-point to its effect [s]
+_APPLY_TIMEOUT: Final = 2.0  # from the publication of a set-point to its effect [s of board time]
 _REACHED: Final = 0.1 * TURN  # distance from the target within which a stop counts as without effect [rad]
 _AMPLITUDE: Final = 1.0  # of the path [turns]
 _FREQUENCIES: Final = (1.0, 1.5)  # of the axes [Hz]
 _PATH_TIME: Final = 4.0  # [s]
 _AHEAD: Final = 0.5  # from the publication of the path to its start [s]
 _ATTEMPTS: Final = 3  # number of attempts to start the path
+_SLOWER: Final = (1, 2, 4)  # divisors of the speed of the path: at each attempt it needs fewer points per second
 _PATH_ERROR: Final = 0.02  # largest distance from the path [rad]
-_TWIN_TIMEOUT: Final = 3.0  # for the residuals of a move [s]
+_TWIN_TIMEOUT: Final = 3.0  # for the residuals of a move [s of board time]
+_FULL_SPEED: Final = 0.95  # of real time: a board time that runs slower is mentioned
 
 
 class Demo:
@@ -58,7 +60,7 @@ class Demo:
     tolerance : float
         Half width of the band around a target that counts as reached [rad].
     timeout : float
-        Longest time for one move [s].
+        Longest time for one move [s of board time].
     info : callable
         Prints a line of progress.
     """
@@ -70,35 +72,61 @@ class Demo:
         self._info = info
         self._catalogue = Catalogue.load()
         self._base: list[float] = []
+        self._begun = (0, 0)  # tick and ROS time [ns] after the connection
         self.twin = False
         self.rows: list[Row] = []
         self.paths: list[PathRow] = []
 
     # ---- phases
     def connect(self, timeout: float, *, require_twin: bool) -> None:
-        """Wait at most `timeout` [s] for the servo, and as long for the twin if it is required."""
+        """Wait for the servo, and for the twin if it is required.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time without progress [s]: no topic, service or state of the twin is added.
+        require_twin : bool
+            Whether a twin has to send residuals.
+        """
         client = self._client
         self._info("waiting for the servo ...")
-        if not client.wait_for(client.ready, timeout):
+        if not self._progresses(lambda: not client.missing(), lambda: len(client.missing()), timeout):
             state = f"; state: {client.state}" if client.state else ""
             raise DemoError(
-                f"no servo telemetry within {timeout:g} s{state}. Start the servo first: `make up`, or `servo_bridge "
-                "--ros-args -p port:=/dev/ttyUSB0` for a board; ROS_DOMAIN_ID must be the same for both"
+                f"no servo within {timeout:g} s{state}; missing: {', '.join(client.missing())}. Start the servo first: "
+                "`make up`, or `servo_bridge --ros-args -p port:=/dev/ttyUSB0` for a board; ROS_DOMAIN_ID must be the "
+                "same for both"
             )
-        if require_twin and not client.wait_for(lambda: client.residual_after(0), timeout):
-            raise DemoError(
-                f"no residuals of a twin within {timeout:g} s. Start it with `servo_twin` and see its log, "
-                "or omit --require-twin"
-            )
+        if require_twin and not self._progresses(lambda: client.residual_after(0), lambda: client.twin_state, timeout):
+            state = f"its state is {client.twin_state}" if client.twin_state else "there is no topic with its state"
+            raise DemoError(f"no residuals of a twin within {timeout:g} s of board time: {state}; see its log")
         if client.geared:
             raise DemoError(
                 f"{', '.join(client.geared)} has a gear ratio, a direction or an offset; the demonstration turns "
                 "the motor shafts by several revolutions; use the default gear_ratio, direction and offset"
             )
+        self._begun = client.tick, client.now_ns()
         self.twin = require_twin or client.wait_for(lambda: client.twin_present, 1.0)
         self._info(
             f"servo found: {client.state}; " + ("comparing with the twin" if self.twin else "no twin is running")
         )
+
+    def _progresses(self, condition: Callable[[], bool], progress: Callable[[], object], timeout: float) -> bool:
+        """Wait for a condition; False after a time [s] without progress, or after the tenth with it."""
+        for _ in range(10):
+            before = progress()
+            if self._client.wait_for(condition, timeout):
+                return True
+            if progress() == before:
+                return False
+        return False
+
+    @property
+    def speed(self) -> float:
+        """Board time per real time since the connection; below 1 if the computer is too slow for a virtual board."""
+        tick, begun_ns = self._begun
+        passed_ns = self._client.now_ns() - begun_ns
+        return (self._client.tick - tick) * PERIOD_NS / passed_ns if passed_ns > 0 else 1.0
 
     def enable(self) -> None:
         """Enable both axes and wait for RUN/SPIN."""
@@ -164,35 +192,47 @@ class Demo:
 
     def _path(self, title: str) -> None:
         """Follow a timed path of both axes, commanded as by a planner."""
+        for slower in _SLOWER:
+            try:
+                self._follow_and_measure(title, slower)
+                return
+            except ValueError as error:
+                self._info(f"  the points did not reach the board in time: {error}")
+                _, tick = self._command(dict.fromkeys(self._axes, 0.0))
+                self._wait_at_base(tick, "return")
+        raise DemoError(f"{title}: the axes did not follow; see the log of servo_bridge")
+
+    def _follow_and_measure(self, title: str, slower: int) -> None:
+        """Follow the path at a fraction of its speed; ValueError if the board has not received it completely."""
         client = self._client
-        low, high = _FREQUENCIES
-        self._info(f"{title}: {client.joints[0]} at {low:g} Hz, {client.joints[1]} at {high:g} Hz, {_PATH_TIME:g} s")
+        low, high = (frequency / slower for frequency in _FREQUENCIES)
+        duration = _PATH_TIME * slower
+        self._info(f"{title}: {client.joints[0]} at {low:g} Hz, {client.joints[1]} at {high:g} Hz, {duration:g} s")
         # Phase 0 gives the largest area; with other phases the figure may retrace itself.
-        path = lissajous(client.joints, self._base, [_AMPLITUDE * TURN] * 2, _FREQUENCIES, _PATH_TIME, phase=0.0)
-        start_ns, tick = self._follow(path)
-        end = tick + round((_AHEAD + _PATH_TIME) * 1e9 / PERIOD_NS)
-        self._wait(lambda: all(self._at_rest(axis, self._base[axis], end) for axis in self._axes), title, _PATH_TIME)
+        path = lissajous(client.joints, self._base, [_AMPLITUDE * TURN] * 2, (low, high), duration, phase=0.0)
+        start_ns, start, tick = self._follow(path)
+        end = start + round(duration * 1e9 / PERIOD_NS)
+        self._wait_at_base(end, title, duration)
         names = [f"{axis_name(axis)}.{name}" for name in ("position", "position_ref") for axis in self._axes]
         ticks, *columns = client.since(tick, ["tick", *names])
         position, reference = np.array_split(np.column_stack(columns), 2, axis=1)
         time = (ticks - ticks[0]) * (PERIOD_NS * 1e-9)
-        try:
-            figures = measure_path(time, position, reference, path, (start_ns - client.stamp_ns(tick)) * 1e-9)
-        except ValueError as error:
-            raise DemoError(f"{title}: the axes did not follow ({error}); see the log of servo_bridge") from None
+        figures = measure_path(time, position, reference, path, (start - ticks[0]) * (PERIOD_NS * 1e-9))
         residuals = tuple(filter(None, self._residuals(start_ns, client.now_ns())))
         self.paths.append(PathRow(title, tuple(client.joints), figures, _PATH_ERROR, self._tolerance, residuals))
         for joint, distance in zip(client.joints, figures.error_max, strict=True):
             self._info(f"  {joint}: at most {distance / TURN * COUNTS_PER_TURN:.1f} counts from the path")
         self._info(f"  start of the axes: {figures.ticks_apart} ticks apart")
 
-    def _follow(self, path: Motion) -> tuple[int, int]:
-        """Publish a path; returns its start in ROS time [ns] and the tick of the effect of its first points."""
+    def _follow(self, path: Motion) -> tuple[int, int, int]:
+        """Publish a path; returns its start in ROS time [ns], about its start tick, and that of its first write."""
         for _ in range(_ATTEMPTS):
+            # By the board's clock: ROS time would be wrong by what a slow board loses until then.
+            start = self._client.tick + round(_AHEAD * 1e9 / PERIOD_NS)
             known, start_ns = len(self._client.applied), self._client.now_ns() + round(_AHEAD * 1e9)
             self._client.follow(path, start_ns)
             try:
-                return start_ns, self._applied_since(known, "cmd.points")
+                return start_ns, start, self._applied_since(known, "cmd.points")
             except DemoError as error:
                 # Points that arrive too late (busy computer) are refused as a whole; nothing moves.
                 self._info(f"  {error}")
@@ -236,6 +276,10 @@ class Demo:
             raise DemoError(f"{name}: {self._fault_text()}")
         if not done:
             self._info(f"  {name}: not finished after {self._timeout:g} s")
+
+    def _wait_at_base(self, tick: int, name: str, planned: float = 0.0) -> None:
+        """Wait until both axes rest at their base, counted from a tick on."""
+        self._wait(lambda: all(self._at_rest(axis, self._base[axis], tick) for axis in self._axes), name, planned)
 
     def _measure(self, title: str, tick: int, start_ns: int, targets: Mapping[int, float]) -> None:
         """Measure and print the figures of every axis of a move."""
@@ -324,9 +368,15 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--tolerance", type=float, default=2.0, metavar="COUNTS", help="tolerance of a target (default: 2)"
     )
-    parser.add_argument("--timeout", type=float, default=10.0, metavar="S", help="timeout of a move (default: 10)")
     parser.add_argument(
-        "--wait", type=float, default=20.0, metavar="S", help="time to wait for the servo (default: 20)"
+        "--timeout", type=float, default=10.0, metavar="S", help="timeout of a move in board time (default: 10)"
+    )
+    parser.add_argument(
+        "--wait",
+        type=float,
+        default=20.0,
+        metavar="S",
+        help="longest time without progress while connecting to servo and twin (default: 20)",
     )
     arguments = parser.parse_args(argv)
     if arguments.tolerance <= 0.0 or arguments.timeout <= 0.0 or arguments.wait < 0.0:
@@ -354,7 +404,7 @@ def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
             demo.disable()
     except DemoError as error:
         trouble = trouble or str(error)
-    figures = report(demo.rows, demo.paths, tolerance_counts=arguments.tolerance, twin=demo.twin)
+    figures = report(demo.rows, demo.paths, tolerance_counts=arguments.tolerance, twin=demo.twin, speed=demo.speed)
     figures["trouble"] = trouble or None
     if arguments.json is not None:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
@@ -363,6 +413,10 @@ def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
         _info("\n" + table(demo.rows) + "\n")
     if demo.paths:
         _info(path_table(demo.paths) + "\n")
+    if demo.speed < _FULL_SPEED:
+        _info(
+            f"board time ran at {demo.speed:.2f} of real time: the computer is too slow; the figures are in board time"
+        )
     if trouble:
         _info(f"stopped: {trouble}")
         return 1

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table, to_stamp
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
+from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -23,8 +24,9 @@ from servo_bridge.command_paths import path_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
-_ANSWER: Final = 5.0  # timeout of a service [s]
+_ANSWER: Final = 5.0  # timeout of a service [s of board time]
 _STEP: Final = 0.02  # longest period of the check of a condition [s]
+_SILENCE: Final = 10.0  # without telemetry after which every wait ends [s of this process]
 
 
 class DemoError(RuntimeError):
@@ -55,12 +57,14 @@ class ServoClient(Node):
         self._rows: list[NDArray[np.float64]] = []
         self._residuals: list[tuple[int, list[float]]] = []
         self._residual_topic = f"{twin}/{topics.RESIDUAL}"
+        self.twin_state = ""
         deep = telemetry_qos(1000)
         self._names = self.create_subscription(JointState, self._of(topics.JOINT_STATES), self._on_names, deep)
         self.create_subscription(Float64MultiArray, self._of(topics.SNAPSHOT), self._on_snapshot, deep)
         self.create_subscription(Float64MultiArray, self._of(topics.COMMANDS_APPLIED), self._on_applied, deep)
         self.create_subscription(String, self._of(topics.STATE), self._on_state, latched_qos())
         self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
+        self.create_subscription(String, f"{twin}/{topics.STATE}", self._on_twin_state, latched_qos())
         self._description = self._of(topics.ROBOT_DESCRIPTION)
         self.create_subscription(String, self._description, self._on_description, latched_qos())
         self._commands = self.create_publisher(JointState, self._of(topics.JOINT_COMMANDS), command_qos())
@@ -75,36 +79,47 @@ class ServoClient(Node):
 
     # ---- waiting
     def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Spin the executor until the condition holds or the timeout [s]; returns whether it holds.
+        """Spin the executor until the condition holds or the timeout; returns whether it holds.
+
+        The timeout counts board time [s]. Without telemetry it counts the turns of this loop, each for `_STEP` at most:
+        on a slow computer, or one that stops its processes, both last longer than the clock says.
 
         Raises
         ------
         KeyboardInterrupt
             If `interrupted` is set. The event is cleared, so that the axes can be disabled.
         """
-        deadline = time.monotonic() + timeout
+        passed = silent = 0.0
+        tick = self.tick if self._rows else None
         while not condition():
             if self._interrupted.is_set():
                 self._interrupted.clear()
                 raise KeyboardInterrupt
-            if time.monotonic() >= deadline:
+            if passed >= timeout or silent >= (timeout if tick is None else max(timeout, _SILENCE)):
                 return False
+            begin = time.monotonic()
             self._runner.spin_once(timeout_sec=_STEP)
+            silent += min(time.monotonic() - begin, _STEP)
+            before, tick = tick, self.tick if self._rows else None
+            if tick != before:
+                silent = 0.0
+                passed += max(tick - before, 0) * PERIOD_NS * 1e-9 if tick is not None and before is not None else 0.0
         return True
 
-    def ready(self) -> bool:
-        """True if telemetry is received and services and command topics are connected."""
-        return bool(
-            self.joints
-            and self._rows
-            and self.state
-            and self.geared is not None
-            and self._enable.service_is_ready()
-            and self._quick_stop.service_is_ready()
-            and self._commands.get_subscription_count()
-            and self._paths.get_subscription_count()
-            and all(publisher.get_subscription_count() for publisher in self._single.values())
-        )
+    def missing(self) -> list[str]:
+        """Topics and services of the servo that are not there yet."""
+        connected = {
+            topics.JOINT_STATES: self.joints,
+            topics.SNAPSHOT: self._rows,
+            topics.STATE: self.state,
+            topics.ROBOT_DESCRIPTION: self.geared is not None,
+            topics.ENABLE: self._enable.service_is_ready(),
+            topics.QUICK_STOP: self._quick_stop.service_is_ready(),
+            topics.JOINT_COMMANDS: self._commands.get_subscription_count(),
+            topics.JOINT_TRAJECTORY: self._paths.get_subscription_count(),
+        }
+        single = {topics.joint_position_topic(joint): p.get_subscription_count() for joint, p in self._single.items()}
+        return [name for name, there in {**connected, **single}.items() if not there]
 
     @property
     def twin_present(self) -> bool:
@@ -214,6 +229,9 @@ class ServoClient(Node):
 
     def _on_state(self, message: String) -> None:
         self.state = message.data
+
+    def _on_twin_state(self, message: String) -> None:
+        self.twin_state = message.data
 
     def _on_residual(self, message: JointState) -> None:
         self._residuals.append((from_stamp(message.header.stamp), list(message.position)))

@@ -131,11 +131,14 @@ def passed(rows: Sequence[Row], paths: Sequence[PathRow], *, twin: bool) -> bool
     return moved and bool(paths) and followed
 
 
-def report(rows: Sequence[Row], paths: Sequence[PathRow], *, tolerance_counts: float, twin: bool) -> dict[str, Any]:
-    """All figures as numbers in SI units, for JSON."""
+def report(
+    rows: Sequence[Row], paths: Sequence[PathRow], *, tolerance_counts: float, twin: bool, speed: float
+) -> dict[str, Any]:
+    """All figures as numbers in SI units, for JSON; `speed` is board time per real time."""
     return {
         "passed": passed(rows, paths, twin=twin),
         "twin": twin,
+        "board_time_per_real_time": speed,
         "tolerance_counts": tolerance_counts,
         "counts_per_turn": COUNTS_PER_TURN,
         "moves": [

@@ -16,6 +16,7 @@ Series = NDArray[np.float64]
 
 _STEPS: Final = 12  # of the Gauss-Newton method; it converges from an error of up to a quarter of a period
 _PERIOD: Final = PERIOD_NS * 1e-9
+_REFERENCE_ERROR: Final = 0.01  # between the path and the set-points of a board that has received all points [rad]
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
     Raises
     ------
     ValueError
-        If the samples end before the path, or shapes do not fit.
+        If the samples end before the path, its set-points have not reached the board, or shapes do not fit.
     """
     shape = len(time), len(path.joints)
     if position.shape != shape or reference.shape != shape:
@@ -56,6 +57,11 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
     start = float(np.mean(starts))
     if not time[0] <= start < start + path.duration < time[-1]:
         raise ValueError(f"samples from {time[0]:g} s to {time[-1]:g} s do not contain the path from {start:g} s")
+    for k, (joint, own) in enumerate(zip(path.joints, starts, strict=True)):
+        expected = path.select([joint]).state(time - own + path.start_time).position[:, 0]
+        left = float(np.abs(reference[:, k] - expected).max())
+        if left > _REFERENCE_ERROR:
+            raise ValueError(f"the set-points of {joint} left the path by {left:.3g} rad")
     error = position - path.state(time - start + path.start_time).position
     on_path = (time >= start) & (time <= start + path.duration)
     return PathFigures(

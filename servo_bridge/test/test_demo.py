@@ -9,6 +9,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -47,9 +49,11 @@ class FakeClient:
         self.error = [0.0, 0.0]  # steady error
         self.path: Motion | None = None
         self.path_error = 0.0
+        self.lost_paths = 0  # number of paths whose points reach the board for a second only
         self.refusals = 0  # number of refused paths
         self.rows: list[dict[str, float]] = []
         self.twin_present = True
+        self.twin_state = ""
         self.twin_gap = twin_gap
         self.twin_lag = 0  # PWM periods
         self.faults = 0
@@ -66,7 +70,9 @@ class FakeClient:
         row = {"tick": float(self.tick)}
         on_path = self.path is not None and self.tick <= self.path.end_time * 16000
         if self.path is not None:
-            self.target = list(self.path.state(self.tick / 16000).position)
+            elapsed = self.tick / 16000 - self.path.start_time
+            if not (self.lost_paths and elapsed > 1.0):
+                self.target = list(self.path.state(self.tick / 16000).position)
         for axis in range(2):
             aim = self.target[axis] + self.error[axis]
             aim += self.path_error if on_path else 0.0
@@ -87,8 +93,8 @@ class FakeClient:
             self._step()
         return True
 
-    def ready(self) -> bool:
-        return True
+    def missing(self) -> list[str]:
+        return []
 
     def enable(self, on: bool) -> None:
         self.log.append(f"enable {on}")
@@ -103,6 +109,8 @@ class FakeClient:
         if self.ignores_commands:
             return
         self.log.append(f"move {sorted(targets)}")
+        if self.path is not None:
+            self.path, self.lost_paths = None, self.lost_paths - 1
         for axis, value in targets.items():
             self.target[axis] = value
         self.applied.append(AppliedCommand("cmd.position", self.tick + 8, (0, 0), 3))
@@ -214,6 +222,78 @@ def test_a_path_that_the_board_refuses_is_sent_again() -> None:
         run(client)
 
 
+def test_a_path_whose_points_are_late_is_repeated_more_slowly() -> None:
+    client, output = FakeClient(), list[str]()
+    client.lost_paths = 2
+    demo = run(client, output)
+    assert passed(demo.rows, demo.paths, twin=demo.twin)
+    assert [path.figures.duration for path in demo.paths] == pytest.approx([16.0])
+    assert sum("did not reach the board in time: the set-points of axis1 left" in line for line in output) == 2
+    client = FakeClient()
+    client.lost_paths = 3
+    with pytest.raises(DemoError, match="did not follow"):
+        run(client)
+
+
+class WaitingClient(ServoClient):
+    """Client without ROS: every turn of its executor takes a time and may bring a sample."""
+
+    def __init__(self, turn: float, ticks: int | None) -> None:
+        self._interrupted = threading.Event()
+        self._rows, self.columns = [], ["tick"]
+        self._runner = self
+        self._turn, self._ticks = turn, ticks
+        self.turns = 0
+
+    def spin_once(self, timeout_sec: float) -> None:
+        self.turns += 1
+        time.sleep(self._turn)
+        if self._ticks is not None:
+            self._rows.append(np.array([float(self.turns * self._ticks)]))
+
+
+def test_waits_follow_the_board_time() -> None:
+    client = WaitingClient(0.005, 160)  # 10 ms of the board in 5 ms, and more
+    assert not client.wait_for(lambda: False, 0.2)
+    assert client.turns == 21
+    assert client.wait_for(lambda: client.turns == 30, 10.0)
+
+
+def test_waits_without_telemetry_count_turns_of_the_program() -> None:
+    client = WaitingClient(0.05, None)  # the computer stops the program for most of the time
+    assert not client.wait_for(lambda: False, 0.1)
+    assert client.turns == 5
+
+
+def test_the_speed_of_the_board_is_measured() -> None:
+    client = FakeClient()
+    client.now_ns = lambda: client.tick * 100_000  # type: ignore[method-assign]
+    demo = Demo(client, COUNT, 1.0, lambda _: None)  # type: ignore[arg-type]
+    demo.connect(1.0, require_twin=True)
+    client.wait_for(lambda: False, 1.0)
+    assert demo.speed == pytest.approx(0.625, abs=1e-3)
+
+
+def test_connection_fails_without_progress_only() -> None:
+    client = FakeClient()
+    waits = iter(range(1, 100))
+    left = [3]
+
+    def missing() -> list[str]:
+        return ["enable", "state", "snapshot"][: left[0]]
+
+    def wait_for(condition: Callable[[], bool], timeout: float) -> bool:
+        left[0] = max(3 - next(waits), 0)
+        return condition()
+
+    client.missing, client.wait_for = missing, wait_for  # type: ignore[method-assign]
+    Demo(client, COUNT, 1.0, lambda _: None).connect(1.0, require_twin=False)  # type: ignore[arg-type]
+    client.wait_for = lambda condition, timeout: condition()  # type: ignore[method-assign]
+    left[0] = 2
+    with pytest.raises(DemoError, match=r"no servo within 1 s; .*missing: enable, state\. "):
+        Demo(client, COUNT, 1.0, lambda _: None).connect(1.0, require_twin=False)  # type: ignore[arg-type]
+
+
 def test_missing_samples_of_the_twin_fail_but_no_twin_does_not() -> None:
     client = FakeClient()
     client.residuals = lambda start_ns, end_ns: np.empty((0, 2))  # type: ignore[method-assign]
@@ -291,7 +371,7 @@ def test_empty_result_is_a_failure() -> None:
 
 def test_report_is_json() -> None:
     figures = json.loads(
-        json.dumps(report([row(), row(arrived=False)], [path_row()], tolerance_counts=2.0, twin=False))
+        json.dumps(report([row(), row(arrived=False)], [path_row()], tolerance_counts=2.0, twin=False, speed=1.0))
     )
     assert figures["passed"] is False
     assert figures["moves"][0]["reached"] == pytest.approx(5 * TURN + COUNT)

@@ -36,8 +36,8 @@ def chosen_level(level: Level | None = None, default: Level = DEFAULT_LEVEL) -> 
     raise ValueError(f"level {name!r} does not exist; levels: {', '.join(_LEVELS)}")
 
 
-def add_level_option(parser: argparse.ArgumentParser, what: str, default: Level = DEFAULT_LEVEL) -> None:
-    """Add ``--level``; `what` is the start of its help text, as in "the board is"."""
+def add_level_option(parser: argparse.ArgumentParser, what: str, default: str = DEFAULT_LEVEL) -> None:
+    """Add ``--level``; `what` is the start of its help text, as in "the board is", `default` its end."""
     parser.add_argument(
         "--level", choices=_LEVELS, help=f"level at which {what} modelled (default: ${LEVEL_VARIABLE}, or {default})"
     )

@@ -16,27 +16,32 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
+from servo_msgs_py.runtime.node_name import taken
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 from servo_msgs_py import board_parameters
-from servo_twin.level import LEVEL_VARIABLE, add_level_option, chosen_level
+from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, LEVEL_VARIABLE, Level, add_level_option, chosen_level
+from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
-_BOARD_TIMEOUT: Final = 10.0  # [s]
-_CONNECT_TIMEOUT: Final = 15.0
-_VIEWER_TIMEOUT: Final = 30.0  # the first start of the viewer reads many files
-_DEMO_TIMEOUT: Final = 240.0
+_PATIENCE: Final = 15.0  # until a message about what has not happened yet [s]; nothing fails because it is late
+_LOOK: Final = 3.0  # for a servo on another machine [s]
+_BRIDGE: Final = "servo/servo_bridge"  # namespace and name of the bridge
+_DEMO_WAIT: Final = 60.0  # of the demonstration without progress while it connects [s]; up watches the processes
+_ANNOUNCE: Final = 0.2  # interval of the messages about the processes [s]
+_PICTURE, _RECORDING, _FIGURES = "demo.png", "demo.rrd", "demo.json"  # results of the demonstration
+_RANGE, _LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 _INTERRUPTED: Final = 130
 _DOMAIN_MAX: Final = 232  # higher domain ids exceed the range of UDP ports
 _WARNING: Final = "virtual_board: warning:"
-_URL: Final = re.compile(r"http://\S+")
 
 _HOW_TO: Final = """
 With ROS 2 (in another terminal{domain}):
@@ -129,7 +134,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--thresholds", type=Path, help="threshold file of `servo_twin calibrate` for the diagnosis of the twin"
     )
-    add_level_option(result, "virtual board and twin are")
+    add_level_option(result, "virtual board and twin are", f"{DEFAULT_LEVEL}; {FAST_LEVEL} on a slow machine")
     result.add_argument("--no-web", action="store_true", help="do not start the viewer in the browser")
     result.add_argument("--record", type=Path, help="record to this .rrd file")
     result.add_argument(
@@ -150,6 +155,16 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
+@dataclass(frozen=True)
+class _Expected:
+    """Output of a child that is announced."""
+
+    child: Child
+    pattern: re.Pattern[str]  # its first group is announced
+    done: str  # text before that
+    missing: str  # text as long as it is missing
+
+
 class Stack:
     """The processes of one session, in a private folder for the virtual serial port.
 
@@ -162,10 +177,11 @@ class Stack:
     """
 
     def __init__(self, out: Path, environment: Mapping[str, str]) -> None:
-        self._environment = environment
+        self.environment = environment
         self._log = out / "log"
         self._log.mkdir(parents=True, exist_ok=True)
         self.children: list[Child] = []
+        self._expected: list[_Expected] = []
         self._warnings = 0
 
     def start(self, name: str, *arguments: str) -> Child:
@@ -176,19 +192,36 @@ class Stack:
         ChildError
             If the executable cannot be started.
         """
-        child = Child(name, [str(executable(name)), *arguments], self._log / f"{name}.log", self._environment)
+        child = Child(name, [str(executable(name)), *arguments], self._log / f"{name}.log", self.environment)
         self.children.append(child)
         return child
 
-    def wait(self, child: Child, text: str, timeout: float) -> bool:
-        """Wait until a child has printed something; False after the timeout [s]."""
-        return wait_until(lambda: text in child.text(), self.children, timeout)
+    def expect(self, child: Child, pattern: str, done: str, missing: str) -> None:
+        """Have `announce` print `done` and what matches, when a child has printed the pattern."""
+        self._expected.append(_Expected(child, re.compile(pattern), done, missing))
+
+    def announce(self) -> bool:
+        """Print what has happened since the last call; True if nothing is missing any more."""
+        for one in tuple(self._expected):
+            if match := one.pattern.search(one.child.text()):
+                _print(f"{one.done}{match.group(1)}")
+                self._expected.remove(one)
+        return not self._expected
+
+    def missing(self) -> list[str]:
+        """What has not happened yet, with the last output of the process."""
+        return [f"{one.missing}. Last output ({one.child.log}):\n{one.child.last_output(3)}" for one in self._expected]
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait for a condition as long as all children run; say from time to time that it is missing."""
+        while not wait_until(condition, self.children, _PATIENCE):
+            _print(f"waiting for {what} ...")
 
     def print_warnings(self) -> None:
-        """Print new warnings of the virtual board (machine too slow)."""
+        """Print the last new warning of the virtual board (machine too slow)."""
         texts = [child.text() for child in self.children if child.name == "virtual_board"]
         lines = [line for text in texts for line in text.splitlines() if line.startswith(_WARNING)]
-        for line in lines[self._warnings :]:
+        for line in lines[self._warnings :][-1:]:
             _print(line)
         self._warnings = max(self._warnings, len(lines))
 
@@ -212,28 +245,41 @@ def _refuse_second_bridge(environment: Mapping[str, str]) -> None:
     ChildError
         If a servo is already running.
     """
-    look = [str(executable("servo-command")), "--wait", "3", "state"]
-    found = subprocess.run(look, env=dict(environment), capture_output=True, text=True, check=False)
-    if found.returncode == 0:
-        domain = environment.get("ROS_DOMAIN_ID", "0")
+    domain = environment.get("ROS_DOMAIN_ID") or "0"
+    found = taken(_BRIDGE, int(domain))
+    if not found and environment[_RANGE] != _LOCALHOST:
+        look = [str(executable("servo-command")), "--wait", f"{_LOOK:g}", "state"]
+        found = subprocess.run(look, env=dict(environment), capture_output=True, check=False).returncode == 0
+    if found:
         raise ChildError(
-            f"a servo is already running in ROS domain {domain} ({found.stdout.splitlines()[0]});"
-            " stop it first, or choose another domain with --domain-id"
+            f"a servo is already running in ROS domain {domain}; stop it first, or choose another domain with "
+            "--domain-id"
         )
+
+
+def _suitable_level(boards: int) -> Level:
+    """Level that this machine can keep up with, according to a measurement."""
+    speed = simulation_speed(DEFAULT_LEVEL, boards)
+    level = level_for(speed)
+    if level != DEFAULT_LEVEL:
+        _print(
+            f"this machine simulates a board at level {DEFAULT_LEVEL} only {speed:.1f} times as fast as real time, and "
+            f"{SPEED_MIN:g} are needed beside the other programs: level {level} (--level {DEFAULT_LEVEL} insists)"
+        )
+    return level
 
 
 def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     link = folder / "board"
     plant = ["--plant", str(args.plant)] if args.plant else []
-    _print(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {chosen_level(args.level)}")
+    _print(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {args.level}")
     stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *plant)
-    if not wait_until(link.exists, stack.children, _BOARD_TIMEOUT):
-        raise ChildError(f"the virtual board did not create its port within {_BOARD_TIMEOUT:g} s")
+    stack.wait(link.exists, "the port of the virtual board")
     return str(link)
 
 
 def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Path | None) -> None:
-    """Start all processes and print their state.
+    """Start all processes; `Stack.announce` prints their state.
 
     Raises
     ------
@@ -247,43 +293,41 @@ def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Pat
     files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
     given = {name: path.absolute() for name, path in files.items() if path}
     twin = stack.start("servo_twin", *parameter_arguments(seed=args.seed + 1, **given))
+    stack.expect(bridge, r"(connected to .*)", "bridge ", f"bridge: no board on {port} yet, it goes on trying")
+    stack.expect(twin, r"(following \S+),", "twin: ", "twin: no data of the board yet")
     web = not (args.no_web or args.demo)
-    viewer = None
     if web or record:
         viewer = stack.start("servo_viewer", *parameter_arguments(record=record or "", web=web))
-    if stack.wait(bridge, "connected to", _CONNECT_TIMEOUT):
-        _print(f"bridge connected to {port}")
-    else:
-        _print(f"bridge: no board on {port} yet, connection attempts continue. Last output:\n{bridge.last_output(3)}")
-    _print(f"twin started (log: {twin.log})")
-    if web and viewer is not None:
-        found = wait_until(lambda: _URL.search(viewer.text()) is not None, stack.children, _VIEWER_TIMEOUT)
-        match = _URL.search(viewer.text())
-        _print(f"viewer: {match.group(0) if found and match else 'not started yet, see ' + str(viewer.log)}")
-    if record:
-        _print(f"recording to {record}")
+        if web:
+            stack.expect(viewer, r"(http://\S+)", "viewer: ", "viewer: not started yet")
+        if record:
+            stack.expect(viewer, r"recording to (.*)", "recording to ", "viewer: no recording yet")
 
 
 def _wait_for_stop(stack: Stack, args: argparse.Namespace) -> NoReturn:
     domain = os.environ.get("ROS_DOMAIN_ID") if args.domain_id is None else str(args.domain_id)
     setting = f", ROS_DOMAIN_ID={domain}" if domain not in (None, "0") else ""
+    if not wait_until(stack.announce, stack.children, _PATIENCE):
+        for text in stack.missing():
+            _print(text)
     _print(_HOW_TO.format(command=shlex.quote(str(executable("servo-command"))), domain=setting))
     while True:
         wait_until(lambda: False, stack.children, 1.0)
+        stack.announce()
         stack.print_warnings()
 
 
 def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
     """Run ``servo-demo``, which moves the axes; returns its exit status."""
-    command = [str(executable("servo-demo")), "--require-twin", "--json", str(out / "demo.json")]
+    options = ["--require-twin", "--wait", f"{_DEMO_WAIT:g}", "--json", str(out / _FIGURES)]
+    command = [str(executable("servo-demo")), *options]
     demo = subprocess.Popen(
         with_parent_death_signal(command), stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True
     )
     try:
-        ended = wait_until(lambda: demo.poll() is not None, stack.children, _DEMO_TIMEOUT)
-        if not ended:
-            _print(f"servo-demo did not finish within {_DEMO_TIMEOUT:g} s")
-        return demo.returncode if ended else 1
+        while not wait_until(lambda: demo.poll() is not None, stack.children, _ANNOUNCE):
+            stack.announce()
+        return int(demo.returncode)
     finally:
         stack.print_warnings()
         if demo.poll() is None:
@@ -306,17 +350,14 @@ def _finish_demo(record: Path, out: Path) -> None:
     check = subprocess.run([str(executable("rerun")), "rrd", "verify", str(record)], capture_output=True, text=True)
     if check.returncode != 0:
         raise ChildError(f"the recording {record} is damaged:\n{check.stderr}")
-    picture = out / "demo.png"
-    picture.unlink(missing_ok=True)
+    picture = out / _PICTURE
     draw(record, picture)
     _print(f"recording  {record}   (view: {shlex.join([str(executable('rerun')), str(record)])})\npicture    {picture}")
 
 
 def _environment(args: argparse.Namespace) -> dict[str, str]:
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if args.level is not None:
-        environment[LEVEL_VARIABLE] = args.level
+    environment.setdefault(_RANGE, _LOCALHOST)
     if args.domain_id is not None:
         environment["ROS_DOMAIN_ID"] = str(args.domain_id)
     elif args.demo:
@@ -339,7 +380,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser().error("--demo moves the shafts: it is permitted with the virtual board only, not with --port")
     environment = _environment(args)
     args.out.mkdir(parents=True, exist_ok=True)
-    record = args.out / "demo.rrd" if args.demo else args.record
+    record = args.out / _RECORDING if args.demo else args.record
     with _Signals() as signals:
         try:
             return _session(args, environment, record, signals)
@@ -347,14 +388,21 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _INTERRUPTED if args.demo else 0
 
 
-def _session(args: argparse.Namespace, environment: Mapping[str, str], record: Path | None, signals: _Signals) -> int:
+def _session(args: argparse.Namespace, environment: dict[str, str], record: Path | None, signals: _Signals) -> int:
     """Start, run and stop all processes; returns the exit status."""
     stack = Stack(args.out, environment)
+    if args.demo:
+        for name in (_PICTURE, _RECORDING, _FIGURES):  # those of another run
+            (args.out / name).unlink(missing_ok=True)
     status = 0
     with tempfile.TemporaryDirectory(prefix="servo-") as folder:
         try:
             if not args.demo:
                 _refuse_second_bridge(environment)
+            if args.level is None:
+                known = LEVEL_VARIABLE in environment
+                args.level = chosen_level() if known else _suitable_level(1 if args.port else 2)
+            environment[LEVEL_VARIABLE] = args.level
             _start_all(stack, args, Path(folder), record)
             if not args.demo:
                 _wait_for_stop(stack, args)
@@ -362,7 +410,7 @@ def _session(args: argparse.Namespace, environment: Mapping[str, str], record: P
         except _StopRequested:
             _print("\nstopping: outputs off, then all processes")
             status = _INTERRUPTED if args.demo else 0
-        except ChildError as error:
+        except (ChildError, ValueError) as error:
             _print(f"servo-up: {error}")
             status = 1
         finally:
@@ -371,7 +419,9 @@ def _session(args: argparse.Namespace, environment: Mapping[str, str], record: P
         if killed:
             _print(f"killed after a timeout: {', '.join(killed)}")
             status = status or 1
-    if args.demo and status != _INTERRUPTED and record and record.exists():
+    if args.demo and status not in (0, _INTERRUPTED) and record and record.exists():
+        _print(f"recording  {record}   (not complete; no picture)")
+    if args.demo and status == 0 and record:
         try:
             _finish_demo(record, args.out)
         except (ChildError, ValueError) as error:

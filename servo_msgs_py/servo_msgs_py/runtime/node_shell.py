@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import re
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,6 +18,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
+from servo_msgs_py.runtime.node_name import claim
 from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, ros_parameter_file
 
 _SPIN_TIMEOUT: Final = 0.1  # longest delay until a stop request is processed [s]
@@ -36,8 +36,7 @@ def full_name(node: Node) -> str:
 def claim_name(node: Node) -> None:
     """Reserve the name of a node in its ROS domain on this machine until its context is shut down.
 
-    Two nodes with the same name would both execute every command. The reservation is a socket in the abstract namespace
-    of Linux; the system releases it when the process ends for any reason.
+    Two nodes with the same name would both execute every command.
 
     Raises
     ------
@@ -45,18 +44,15 @@ def claim_name(node: Node) -> None:
         If another node has the name.
     """
     name, domain = full_name(node), node.context.get_domain_id()
-    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        claim.bind(f"\0ros/{domain}/{name}")
-    except OSError:
-        claim.close()
+    own = claim(name, domain)
+    if own is None:
         raise NameTakenError(
             f"a node /{name} is already running in ROS domain {domain} on this machine and would execute the same "
             "commands; end it, or start this one in another namespace (--ros-args -r __ns:=/other, launch: "
             "namespace:=other)"
-        ) from None
+        )
     # The context does not keep a reference to a bound method, and thus not to the socket.
-    node.context.on_shutdown(lambda: claim.close())
+    node.context.on_shutdown(lambda: own.close())
 
 
 @contextlib.contextmanager
