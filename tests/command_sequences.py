@@ -7,7 +7,8 @@ the other end. `motion_permission` decides from the commands alone whether the m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import random
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Literal
@@ -71,6 +72,9 @@ _ENABLE_MAX: Final = 2.5
 _REPETITION: Final = 1.5
 """Observation after the last event [s]."""
 
+LIMIT: Final = 3.0
+"""Largest distance of limited joints from 0 [rad]."""
+
 GOAL_ERROR: Final = 0.03
 """Largest distance from a goal at its end [rad]."""
 
@@ -91,14 +95,14 @@ class Setup:
     """Both ends of the topics."""
 
     rate: float = 100.0  # update_rate [Hz]
+    jitter: float = 0.0  # largest additional delay of a command [s]
     old_plugin: bool = False  # topic_based_ros2_control 0.3
     interpolate_from_desired_state: bool = False  # of the joint_trajectory_controller
     tolerances: Tolerances = "shipped"  # of the joint_trajectory_controller
-    wraps: bool = False  # positions are angles, and the joints `continuous` in the robot description
+    joints: Literal["turns", "limited", "angles"] = "turns"  # angles: they wrap, `continuous` in the robot description
     baud: int = 1_000_000  # [bit/s]
     gear_ratio: float = 1.0  # of both joints
     direction: int = 1  # of both joints
-    limit: float = math.inf  # largest distance of the joints from 0 [rad]
     running: bool = True  # begin enabled, with joints that a goal has moved
 
 
@@ -117,6 +121,32 @@ class Step:
     topic: Literal["path", "position"] = "path"  # move: a path, or a position of each joint
 
 
+SETUP_VALUES: Final[Mapping[str, Sequence[Any]]] = {
+    "rate": (100.0, 50.0, 500.0),
+    "jitter": (0.0, 0.005),
+    "old_plugin": (False, True),
+    "interpolate_from_desired_state": (False, True),
+    "tolerances": ("shipped", "path", "none"),
+    "joints": ("turns", "turns", "limited", "angles"),
+    "baud": (1_000_000, 115_200),
+    "gear_ratio": (1.0, 3.0),
+    "direction": (1, -1),
+    "running": (True, True, False),
+}
+"""Values of a `Setup`, the simplest first."""
+
+STEP_VALUES: Final[Mapping[str, Sequence[Any]]] = {
+    "pause": (0.7, 0.1, 0.3, 1.3),
+    "controller": ("trajectory", "", "position", "velocity"),
+    "restart": (False, False, True),
+    "distance": (1.0, -0.5, 3.0, -2.0),
+    "time": (0.6, 0.4, 1.2),
+    "velocities": (False, True),
+    "topic": ("path", "position"),
+}
+"""Values of a `Step` without its event, the simplest first."""
+
+
 class CommandSequence:
     """Runs a sequence.
 
@@ -130,18 +160,23 @@ class CommandSequence:
 
     def __init__(self, setup: Setup, steps: Sequence[Step]) -> None:
         self._setup, self._steps = setup, steps
+        self._random = random.Random(7)
+        self._arrival_ns = 0  # of the newest command
         parameters: dict[str, Any] = {
             "telemetry_rate": 100.0,
             "gear_ratio": [setup.gear_ratio] * AXES,
             "direction": [setup.direction] * AXES,
-            "wraps": [setup.wraps] * AXES,
+            "wraps": [setup.joints == "angles"] * AXES,
         }
-        if setup.limit < math.inf:
-            parameters |= {"position_min": [-setup.limit] * AXES, "position_max": [setup.limit] * AXES}
+        limit = LIMIT if setup.joints == "limited" else math.inf
+        if setup.joints == "limited":
+            parameters |= {"position_min": [-limit] * AXES, "position_max": [limit] * AXES}
         self.sim = BridgeSimulation(baud=setup.baud, **parameters)
         self._world = self.sim.world
-        self._joints = [Joint(name, setup.gear_ratio, setup.direction, wraps=setup.wraps) for name in _JOINTS]
-        self._permission = Permission([(-setup.limit, setup.limit)] * AXES, [setup.gear_ratio] * AXES)
+        self._joints = [
+            Joint(name, setup.gear_ratio, setup.direction, wraps=setup.joints == "angles") for name in _JOINTS
+        ]
+        self._permission = Permission([(-limit, limit)] * AXES, [setup.gear_ratio] * AXES)
         self.speed_max = 0.0  # of a joint [rad/s]
         self.places: list[tuple[float, ...]] = []  # of the joints at the begin of each step, and at the end [rad]
         self.results: list[int] = []  # of the goals of the last trajectory controller before the recovery
@@ -174,7 +209,7 @@ class CommandSequence:
             _JOINTS,
             setup.rate,
             interpolate_from_desired_state=setup.interpolate_from_desired_state,
-            continuous=_JOINTS if setup.wraps else (),
+            continuous=_JOINTS if setup.joints == "angles" else (),
             constraints=_CONSTRAINTS[setup.tolerances],
         )
         self.forward = {name: ForwardController(_JOINTS, name) for name in (POSITION, VELOCITY)}
@@ -195,7 +230,9 @@ class CommandSequence:
         message = self._manager.cycle(now * 1e-9)
         if message is not None:
             command = joint_state(message, now + WALL_NS)
-            self._world.at(now + _TRANSPORT_NS, partial(self._publish, topics.JOINT_COMMANDS, command))
+            arrival = now + _TRANSPORT_NS + round(self._random.random() * self._setup.jitter * 1e9)
+            self._arrival_ns = max(arrival, self._arrival_ns)  # in order
+            self._world.at(self._arrival_ns, partial(self._publish, topics.JOINT_COMMANDS, command))
 
     def _publish(self, topic: str, message: object) -> None:
         self.sim.node.send(topic, message)

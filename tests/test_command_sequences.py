@@ -2,40 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import pytest
-from command_sequences import EVENTS, CommandSequence, Setup, Step
+from command_sequences import EVENTS, SETUP_VALUES, STEP_VALUES, CommandSequence, Setup, Step
 from controllers.controllers import SUCCESSFUL
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-SETUPS = st.builds(
-    Setup,
-    rate=st.sampled_from([100.0, 50.0, 500.0]),
-    old_plugin=st.booleans(),
-    interpolate_from_desired_state=st.booleans(),
-    tolerances=st.sampled_from(["shipped", "path", "none"]),
-    baud=st.sampled_from([1_000_000, 115_200]),
-    gear_ratio=st.sampled_from([1.0, 3.0]),
-    direction=st.sampled_from([1, -1]),
-    limit=st.sampled_from([math.inf, 3.0]),
-    running=st.booleans(),
-) | st.builds(Setup, wraps=st.just(True), running=st.booleans())
-
+SETUPS = st.builds(Setup, **{name: st.sampled_from(values) for name, values in SETUP_VALUES.items()})
 STEPS = st.builds(
-    Step,
-    event=st.sampled_from(EVENTS),
-    pause=st.sampled_from([0.7, 0.1, 0.3, 1.3]),
-    controller=st.sampled_from(["trajectory", "", "position", "velocity"]),
-    restart=st.booleans(),
-    distance=st.sampled_from([1.0, -0.5, 3.0, -2.0]),
-    time=st.sampled_from([0.6, 0.4, 1.2]),
-    velocities=st.booleans(),
-    topic=st.sampled_from(["path", "position"]),
+    Step, st.sampled_from(EVENTS), **{name: st.sampled_from(values) for name, values in STEP_VALUES.items()}
 )
-
 
 CASES = {
     "hardware active again, joint moved elsewhere": (
@@ -116,7 +94,7 @@ def test_motion_without_a_command_is_found() -> None:
 
 @given(SETUPS, st.lists(STEPS, min_size=4, max_size=4))
 @settings(
-    max_examples=60,
+    max_examples=80,
     derandomize=True,
     database=None,
     deadline=None,
