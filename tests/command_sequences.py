@@ -98,6 +98,7 @@ class Setup:
     jitter: float = 0.0  # largest additional delay of a command [s]
     old_plugin: bool = False  # topic_based_ros2_control 0.3
     interpolate_from_desired_state: bool = False  # of the joint_trajectory_controller
+    last_command_on_activation: bool = False  # of the joint_trajectory_controller
     tolerances: Tolerances = "shipped"  # of the joint_trajectory_controller
     joints: Literal["turns", "limited", "angles"] = "turns"  # angles: they wrap, `continuous` in the robot description
     baud: int = 1_000_000  # [bit/s]
@@ -126,6 +127,7 @@ SETUP_VALUES: Final[Mapping[str, Sequence[Any]]] = {
     "jitter": (0.0, 0.005),
     "old_plugin": (False, True),
     "interpolate_from_desired_state": (False, True),
+    "last_command_on_activation": (False, True),
     "tolerances": ("shipped", "path", "none"),
     "joints": ("turns", "turns", "limited", "angles"),
     "baud": (1_000_000, 115_200),
@@ -211,6 +213,7 @@ class CommandSequence:
             interpolate_from_desired_state=setup.interpolate_from_desired_state,
             continuous=_JOINTS if setup.joints == "angles" else (),
             constraints=_CONSTRAINTS[setup.tolerances],
+            last_command_on_activation=setup.last_command_on_activation,
         )
         self.forward = {name: ForwardController(_JOINTS, name) for name in (POSITION, VELOCITY)}
         self._controllers: dict[str, Controller] = {"trajectory": self.trajectory, **self.forward}
@@ -289,7 +292,12 @@ class CommandSequence:
 
     def _recover(self) -> Iterator[float]:
         """A user who enables, starts a controller and sends a goal must reach it."""
-        shipped = replace(self._setup, interpolate_from_desired_state=False, tolerances="shipped")
+        shipped = replace(
+            self._setup,
+            interpolate_from_desired_state=False,
+            last_command_on_activation=False,
+            tolerances="shipped",
+        )
         yield from self._events((Step("activate", 0.1, restart=True, setup=shipped), Step("enable", 0.3)))
         place = self._now().positions
         inwards = 0.5 if place[0] < place[1] else -0.5  # towards the middle of the range
