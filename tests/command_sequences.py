@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Literal
@@ -267,9 +267,10 @@ class CommandSequence:
             yield min(_POLL, end - self.sim.now)
             self._permission.update(self._now())
 
-    def _command(self, targets: Sequence[float], speed: float, valid: object, *, stopped: bool) -> None:
-        assert callable(valid)
-        self._permission.begin(Command(tuple(targets), (speed,) * AXES, valid, stopped), self._now())
+    def _command(
+        self, targets: Sequence[float], speed: float, valid: Callable[[], bool], *, stopped: bool, duration: float = 0.0
+    ) -> None:
+        self._permission.begin(Command(tuple(targets), (speed,) * AXES, valid, stopped, duration), self._now())
 
     # ---- script
     def _script(self) -> Iterator[float]:
@@ -397,7 +398,9 @@ class CommandSequence:
         if self._active == "trajectory":
             velocities = (0.0,) * AXES if step.velocities else ()
             self.trajectory.goal([Point(self._reported(targets), velocities, (), step.time)])
-            self._command(targets, 1.5 * speed, lambda: self.trajectory.executes_goal, stopped=False)
+            self._command(
+                targets, 1.5 * speed, lambda: self.trajectory.executes_goal, stopped=False, duration=step.time
+            )
         elif self._active:
             self._forward(self.forward[self._active], step, targets)
 
@@ -419,7 +422,7 @@ class CommandSequence:
         targets = self._targets(step, -1.0)
         end = self.sim.now + step.time + 1.0
         speed = math.inf if step.topic == "position" else 2.0 * abs(step.distance) / step.time
-        self._command(targets, speed, lambda: self.sim.now < end, stopped=True)
+        self._command(targets, speed, lambda: self.sim.now < end, stopped=True, duration=step.time)
         if step.topic == "position":
             for joint, target in zip(_JOINTS, self._reported(targets), strict=True):
                 self._publish(topics.joint_position_topic(joint), Float64(data=target))

@@ -28,6 +28,13 @@ REST_SPEED: Final = 2.0
 SPEED_FACTOR: Final = 1.6
 """Permitted speed relative to the commanded one: a stream makes up for its delay."""
 
+OVERSHOOT: Final = 0.2
+"""Permitted distance beyond the range of a path that replaces a motion: this times its duration, and `DELAY`, times the
+largest speed of that motion."""
+
+SPEED_LIMIT: Final = 80.0
+"""Largest speed of a move that the board shapes, for `OVERSHOOT` [rad/s of the motor]."""
+
 STOP_TIME: Final = 0.35
 """Permitted distance of a stop, as a time at the present speed [s]."""
 
@@ -61,6 +68,8 @@ class Command:
     speeds: tuple[float, ...]  # largest ones [rad/s]
     valid: Callable[[], bool]  # whether it has not ended
     stopped: bool = True  # whether a stop of the bridge ends it
+    duration: float = 0.0  # of its path [s]
+    reach: tuple[float, ...] = (0.0,) * AXES  # permitted distance beyond its targets [rad]
     axes: set[int] = field(default_factory=lambda: set(range(AXES)))  # joints that it still moves
     until: float = math.inf  # end of its effect [s]
 
@@ -102,14 +111,24 @@ class Permission:
             for command in self.commands:
                 if axis not in command.axes:
                     continue
-                low, high = min(low, command.targets[axis]), max(high, command.targets[axis])
+                ends = position, command.targets[axis]
+                low, high = min(low, min(ends) - command.reach[axis]), max(high, max(ends) + command.reach[axis])
                 speeds.append(SPEED_FACTOR * command.speeds[axis] + REST_SPEED)
             self._ranges[axis], self._speeds[axis] = (low, high), max(speeds)
 
     def begin(self, command: Command, motion: Motion) -> None:
         """Permit a command, in addition to the valid ones."""
+        command.reach = tuple(
+            (OVERSHOOT * command.duration + DELAY) * max(abs(velocity), self._commanded(axis))
+            for axis, velocity in enumerate(motion.velocities)
+        )
         self.commands.append(command)
         self.renew(motion)
+
+    def _commanded(self, axis: int) -> float:
+        """Largest commanded speed of a joint [rad/s]."""
+        speeds = [command.speeds[axis] for command in self.commands if axis in command.axes]
+        return min(max(speeds, default=0.0), SPEED_LIMIT / self._ratios[axis])
 
     def stop(self, motion: Motion, axes: Collection[int] = range(AXES), delay: float = STOP_DELAY) -> None:
         """Stop joints; ends the commands that a stop ends, after the delay [s]."""
