@@ -25,6 +25,9 @@ COUNT = len(EVENTS) ** LENGTH
 STRIDE = 7919
 """Prime: consecutive numbers have different events, and COUNT numbers have all of them."""
 
+_PROGRESS = 200
+"""Sequences between two reports."""
+
 
 def numbered(number: int) -> tuple[Setup, list[Step]]:
     """Sequence of a number: its events by their index, all other values drawn with the number as seed."""
@@ -57,7 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     begin, found = time.monotonic(), 0
     with Pool(options.processes) as pool:
         numbers = range(options.first, options.first + options.count)
-        for number, violations in pool.imap_unordered(run, numbers, chunksize=8):
+        for done, (number, violations) in enumerate(pool.imap_unordered(run, numbers, chunksize=8), 1):
+            if done % _PROGRESS == 0:
+                print(f"{done} of {options.count}, {found} with violations", file=sys.stderr, flush=True)
             if violations:
                 found += 1
                 events = ", ".join(step.event for step in numbered(number)[1])

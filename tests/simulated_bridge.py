@@ -376,7 +376,7 @@ class BridgeSimulation:
 
     def __enter__(self) -> BridgeSimulation:
         clock_ns = self._clock_ns
-        steady = SimpleNamespace(monotonic_ns=clock_ns, monotonic=lambda: clock_ns() * 1e-9)
+        steady = SimpleNamespace(monotonic_ns=clock_ns, monotonic=self._clock)
         for name, module in list(sys.modules.items()):
             if name.startswith("servo_bridge.") and getattr(module, "time", None) is time:
                 self._replace(name, "time", steady)
@@ -393,6 +393,9 @@ class BridgeSimulation:
 
     def _clock_ns(self) -> int:
         return self.world.now_ns
+
+    def _clock(self) -> float:
+        return self.world.now_ns * 1e-9
 
     def __exit__(self, *_: object) -> None:
         self._context.close()
@@ -414,9 +417,9 @@ class BridgeSimulation:
             self._settings,
             lambda function: function(),
             make_link,
-            CallbackWatch(lambda: self._clock_ns() * 1e-9),
+            CallbackWatch(self._clock, self._clock),
         )
-        self.supervisor._arbiter.sources._clock = lambda: self._clock_ns() * 1e-9
+        self.supervisor._arbiter.sources._clock = self._clock
         self.supervisor.activate()
 
     def kill_bridge(self) -> None:
