@@ -94,7 +94,7 @@ def test_motion_without_a_command_is_found() -> None:
 
 @given(SETUPS, st.lists(STEPS, min_size=4, max_size=4))
 @settings(
-    max_examples=80,
+    max_examples=50,
     derandomize=True,
     database=None,
     deadline=None,
