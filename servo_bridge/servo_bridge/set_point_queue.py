@@ -66,6 +66,11 @@ class PathSource(Protocol):
 
     @property
     def axes(self) -> Collection[int]: ...
+    @property
+    def claimed(self) -> Collection[int]:
+        """Axes with a path, or with a request that may still be refused."""
+        ...
+
     def next_points(self) -> tuple[int, ...] | None: ...
     def points_accepted(self, axes: Iterable[int]) -> None:
         """The board has accepted points of these axes."""
@@ -192,7 +197,7 @@ class SetPointQueue:
             self._halted.add(axis)
 
     def _end_path(self, axis: int, reason: str) -> None:
-        if self._paths is not None and axis in self._paths.axes:
+        if self._paths is not None and axis in self._paths.claimed:
             self._paths.cancel(axis, reason)
 
 

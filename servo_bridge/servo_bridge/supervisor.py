@@ -9,9 +9,9 @@ runs in the thread of the executor.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -61,6 +61,7 @@ from servo_bridge.storage_service import StorageService
 from servo_bridge.telemetry import Snapshot, Telemetry
 from servo_bridge.trajectory.check import Limits, require
 from servo_bridge.trajectory.follower import AxisReport, Follower
+from servo_bridge.trajectory.line_capacity import SAMPLE_BYTES, PointLine, point_line
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory.timed_points import PERIOD
@@ -72,6 +73,8 @@ from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.keep_alive import keep_alive_period
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
 from servo_msgs_py import topics
+
+T = TypeVar("T")
 
 _STOP_AT_CONNECTION: Final = CommandWrite(
     "cmd.quick_stop", 0, (1,) * AXES
@@ -153,7 +156,10 @@ class Supervisor:
             node, self._joints, self._arbiter, self._path_limits, self._dispatcher.pump, self._info, self._warn
         )
         self._set_points = SetPointTopics(self._commands)
-        self._follower = Follower(self._catalogue, settings.joints, self._check_path)
+        self._planner = ThreadPoolExecutor(1, "servo planner")
+        self._follower = Follower(
+            self._catalogue, settings.joints, self._check_path, work=self._plan_aside, line=self._point_line
+        )
         self._arbiter.queue.follow(self._follower)
         self._trajectories = TrajectoryTopics(
             self._commands, self._follower, origin_ns=self._origin_ns, info=self._info
@@ -338,6 +344,16 @@ class Supervisor:
         limits = self._path_limits()
         if limits is not None:
             require(path, [limits[self._joints.index(joint)] for joint in path.joints])
+
+    def _plan_aside(self, work: Callable[[], T], done: Callable[[Future[T]], None]) -> None:
+        """Plan in the thread of the planner."""
+        self._context.when_done(self._planner.submit(work), done)
+
+    def _point_line(self) -> PointLine:
+        """The line to the board, with the measured delay of its exchanges."""
+        baud, size = self._settings.baud, self._link.layout.size
+        delay = max(self._link.statistics().round_trip_p50 - (size + SAMPLE_BYTES) * 10 / baud, 0.0)
+        return point_line(baud, size, delay)
 
     def _origin_ns(self) -> int | None:
         offset = self._board_clock.offset_ns
@@ -550,6 +566,7 @@ class Supervisor:
         connected = self._status.state is LinkState.CONNECTED
         self._inbox.close()
         self._tuning.close()
+        self._planner.shutdown(wait=False, cancel_futures=True)
         switched_off = self._link.close(_SWITCH_OFF)
         if connected and not switched_off:
             self._warn("the board did not confirm the disable command; after param.host_timeout it stops the axes")

@@ -9,8 +9,8 @@ from trajectory_msgs.msg import JointTrajectory
 from servo_bridge.command_context import CommandContext
 from servo_bridge.set_points import NotReady
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
-from servo_bridge.trajectory.follower import Follower, Plan
-from servo_bridge.trajectory.from_message import from_message
+from servo_bridge.trajectory.follower import QUICK, Follower, Plan
+from servo_bridge.trajectory.from_message import check_size, from_message
 from servo_bridge.trajectory.path import Path
 
 _STOP_DELAY = 0.1
@@ -150,9 +150,11 @@ class TrajectoryTopics:
             self._info(f"the first points of {', '.join(joints)} reached the board too late; they begin later")
             return True
 
-        # Errors of the trajectory itself are reported at once, not when the axes are ready.
-        running = self._follower.running()
-        plan(running, running.start_time)
+        # Errors of the trajectory itself are reported at once, not when the axes are ready; those of a long one later.
+        check_size(message, source)
+        if len(message.points) <= QUICK:
+            running = self._follower.running()
+            plan(running, running.start_time)
         self._context.arbiter.admit(source, axes)
         self._follower.request(
             joints,
@@ -163,6 +165,8 @@ class TrajectoryTopics:
             abandoned=abandoned,
             postponed=begins_later,
             takes_over=takes_over or f"a trajectory on {source} took over",
+            size=len(message.points),
+            movable=True,
         )
         self._context.accept()
         return plan

@@ -460,7 +460,7 @@ class Following:
     """Path source with active axes."""
 
     def __init__(self, *axes: int) -> None:
-        self.axes = set(axes)
+        self.axes = self.claimed = set(axes)
 
     def next_points(self) -> None:
         return None

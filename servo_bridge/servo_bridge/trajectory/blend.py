@@ -67,11 +67,12 @@ def spliced(old: Path, new: Path, since: float) -> Path:
     """
     if since >= new.start_time:
         return new
-    times, coefficients, efforts = list(old.times), list(old.coefficients), list(old.efforts)
+    times, coefficients, efforts = old.times, old.coefficients, old.efforts
     if old.end_time < new.start_time:
-        hold = np.zeros((len(old.joints), DEGREE + 1))
-        hold[:, 0] = old.end
-        times, coefficients, efforts = [*times, new.start_time], [*coefficients, hold], [*efforts, efforts[-1]]
+        hold = np.zeros((1, len(old.joints), DEGREE + 1))
+        hold[0, :, 0] = old.end
+        times = np.append(times, new.start_time)
+        coefficients, efforts = np.concatenate((coefficients, hold)), np.concatenate((efforts, efforts[-1:]))
     first = max(int(np.searchsorted(times, since, side="right")) - 1, 0)
     cut = int(np.searchsorted(times, new.start_time))
     if cut <= first:

@@ -7,21 +7,28 @@ and points of the board in motor units.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from functools import partial
 from time import monotonic
-from typing import Final
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINTS_PER_WRITE, TimedPoint, encode_points
 
 from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.line_capacity import QUEUE, PointLine, demand
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.point_queue import PointQueue
+from servo_bridge.trajectory.thinning import thinned
 from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, concatenated, timed_points
 
 LEAD: Final = 0.1
@@ -49,8 +56,19 @@ _HISTORY = round(0.2 / PERIOD)
 _EXTENSIONS_PER_REBUILD: Final = 32
 """Extensions of a path that are merged at once; one by one they would take a third of the processor time."""
 
-_QUEUE: Final = 14
-"""Queued points of an axis on the board; the queue has 16."""
+QUICK: Final = 200
+"""Number of points up to which a path is planned at once; planning of others takes longer than 10 ms."""
+
+_PLANNING_TIME: Final = 1.0e-4
+"""Estimated planning time per point on a busy computer, for a path with a start time [s]."""
+
+_ATTEMPTS: Final = 4
+"""Plannings of one path, if its joints move differently meanwhile."""
+
+_UNCHANGED: Final = 1.0e-6
+"""Largest change of a position [rad] or velocity [rad/s] at the start of a path while it was planned."""
+
+T = TypeVar("T")
 
 Plan = Callable[[Path, float], Path]
 """Returns a path that begins at a time [s] or later, from the path that all joints follow until then; raises
@@ -65,6 +83,21 @@ class AxisReport:
     follows: bool  # the axis was in mode TRAJECTORY at this sample
 
 
+class Work(Protocol):
+    """Runs `work` in another thread, and then `done` with the result in the thread of the follower."""
+
+    def __call__(self, work: Callable[[], T], done: Callable[[Future[T]], None]) -> None: ...
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A path with its points."""
+
+    path: Path  # the path
+    points: Mapping[str, TimedPoints]  # by joint
+    lead: float  # time that the line needs from the first write to the first point [s]
+
+
 @dataclass
 class _Request:
     """Request of a path, and its progress."""
@@ -77,6 +110,11 @@ class _Request:
     abandoned: Callable[[str], None] | None
     postponed: Callable[[], bool] | None
     takes_over: str
+    size: int  # number of waypoints
+    movable: bool  # the whole path may be moved in time
+    checked: bool = False  # it has been planned once, without regard to its limits
+    planning: bool = False  # it is being planned
+    plannings: int = 0  # number of plannings since it was ready
     attempt: int = 0  # index in `_LEADS`
     repeatable: bool = False  # its joints had no path, and the board has not accepted a point
 
@@ -85,12 +123,11 @@ class _Request:
 class _Axis:
     """Path of one axis and its points that are not sent yet."""
 
+    waiting: PointQueue
     path: Path | None = None
     request: _Request | None = None  # of the path
     tail: list[TimedPoints] = field(default_factory=list)  # extensions of the path since `whole`
     position_ref: float = 0.0  # of the joint
-    waiting: deque[TimedPoint] = field(default_factory=deque)
-    ticks: deque[int] = field(default_factory=deque)  # of `waiting`, extended
     sent: deque[int] = field(default_factory=deque)  # ticks of points in the queue of the board
     held: float | None = None  # position reference of the last report, without a path
 
@@ -121,6 +158,10 @@ class Follower:
         Raises `TrajectoryError` for a path that exceeds the limits.
     clock : callable, optional
         Time [s] with any origin, to measure the duration of the planning.
+    work : Work, optional
+        Runs the planning of long paths; default: at once. `check` is called there.
+    line : callable, optional
+        The line to the board; None: without limit.
     """
 
     def __init__(
@@ -129,13 +170,17 @@ class Follower:
         joints: Sequence[Joint],
         check: Callable[[Path], None],
         clock: Callable[[], float] = monotonic,
+        work: Work | None = None,
+        line: Callable[[], PointLine | None] = lambda: None,
     ) -> None:
         self._clock = clock
+        self._work: Work = work or at_once
+        self._line = line
         self._catalogue = catalogue
         self._joints = joint_names(joints)
         self._gears = list(joints)
         self._check = check
-        self._axes = [_Axis() for _ in range(AXES)]
+        self._axes = [_Axis(PointQueue(axis)) for axis in range(AXES)]
         self._request: _Request | None = None
         self._now = 0
         self._sampled = 0.0  # time of the host at the newest sample [s]
@@ -152,8 +197,12 @@ class Follower:
         abandoned: Callable[[str], None] | None = None,
         postponed: Callable[[], bool] | None = None,
         takes_over: str = "another trajectory took over",
+        size: int = 0,
+        movable: bool = False,
     ) -> None:
         """Follow a path as soon as the axes are ready; a pending request is replaced.
+
+        A path of up to `QUICK` waypoints has been planned once by the caller, to refuse its errors at once.
 
         Parameters
         ----------
@@ -175,11 +224,27 @@ class Follower:
             always abandoned.
         takes_over : str
             Reported for the replaced paths and request.
+        size : int
+            Number of waypoints; paths of more than `QUICK` are planned in another thread.
+        movable : bool
+            The path of resting joints may be moved in time by whole PWM periods instead of being planned again.
         """
         if self._request is not None:
             self._request.refused(TrajectoryError(takes_over))
         axes = tuple(self._joints.index(joint) for joint in joints)
-        self._request = _Request(axes, plan, start, begun, refused, abandoned, postponed, takes_over)
+        self._request = _Request(axes, plan, start, begun, refused, abandoned, postponed, takes_over, size, movable)
+        if size > QUICK:
+            self._work(partial(plan, self.running(), self.now), partial(self._take_check, self._request))
+        else:
+            self._request.checked = True
+
+    def _take_check(self, request: _Request, done: Future[Path]) -> None:
+        """Go on with a long path whose first planning is complete, or refuse it; until then it changes nothing."""
+        error = done.exception()
+        if error is None:
+            request.checked = True
+        elif self._request is request:
+            self._refuse(request, _reported(error))
 
     def withdraw(self, plan: Plan) -> None:
         """Discard a request that has not begun, without a result."""
@@ -199,7 +264,7 @@ class Follower:
     def _discard(self, axis: int) -> _Request | None:
         """Discard the path of an axis and return its request."""
         before = self._axes[axis]
-        self._axes[axis] = _Axis(position_ref=before.position_ref)
+        self._axes[axis] = _Axis(PointQueue(axis), position_ref=before.position_ref)
         return before.request
 
     def points_accepted(self, axes: Iterable[int]) -> None:
@@ -254,8 +319,13 @@ class Follower:
     @property
     def axes(self) -> frozenset[int]:
         """Axes that must be in mode TRAJECTORY."""
-        requested = set(self._request.axes) if self._request is not None else set()
+        requested = set(self._request.axes) if self._request is not None and self._request.checked else set()
         return frozenset(requested | {axis for axis, one in enumerate(self._axes) if one.path is not None})
+
+    @property
+    def claimed(self) -> frozenset[int]:
+        """Axes with a path or a request."""
+        return self.axes | frozenset(self._request.axes if self._request is not None else ())
 
     def paths(self) -> Mapping[str, Path]:
         """Paths by joint."""
@@ -311,15 +381,17 @@ class Follower:
             if ended and not (one.request is not None and one.request.repeatable):
                 one.path = one.request = None
                 one.tail.clear()
-        if self._request is not None and self._ready(self._request, reports):
-            self._begin(self._request)
+        request = self._request
+        if request is not None and request.checked and not request.planning and self._ready(request, reports):
+            request.plannings = 0
+            self._start_planning(request, _LEADS[request.attempt])
         for one, report, joint in zip(self._axes, reports, self._gears, strict=True):
             one.held = report.position_ref if report.follows and one.path is None else None
             one.position_ref = joint.position(report.position_ref)
 
     def _ready(self, request: _Request, reports: Sequence[AxisReport]) -> bool:
         """True if every axis follows a path, or holds an unchanged position since the last sample."""
-        if self._now * PERIOD + _PLAN_AHEAD < request.start:
+        if self._now * PERIOD + _PLAN_AHEAD + request.size * _PLANNING_TIME < request.start:
             return False
         return all(
             reports[axis].follows
@@ -337,60 +409,108 @@ class Follower:
             ]
         )
 
-    def _begin(self, request: _Request) -> None:
-        self._request = None
-        begin = self._clock()
-        lead_min = lead = _LEADS[request.attempt]
-        try:
-            while True:
-                time = (self._now + round((self._clock() - begin + lead) / PERIOD)) * PERIOD
-                path, points = self._plan(request, time)
-                # The planning time grows with the number of points; the board needs the first point in time.
-                spent = self._now * PERIOD + self._clock() - begin
-                if path.start_time - spent > _LEAD_REMAINDER_MIN * lead_min or lead > _LEAD_MAX:
-                    break
-                lead += LEAD + 2.0 * (self._clock() - begin)
-        except TrajectoryError as error:
-            request.refused(error)
+    # ---- planning
+    def _start_planning(self, request: _Request, lead: float) -> None:
+        request.planning = True
+        request.plannings += 1
+        time = (self._now + round((self._time() - self.now + lead) / PERIOD)) * PERIOD
+        running = self.running()
+        others = [one.waiting.ticks for axis, one in enumerate(self._axes) if axis not in request.axes and one.waiting]
+        work = self._work if request.size > QUICK else at_once
+        work(
+            partial(self._plan, request, running, time, others, self._line()),
+            partial(self._take_plan, request, running, lead, self._clock()),
+        )
+
+    def _plan(
+        self,
+        request: _Request,
+        running: Path,
+        time: float,
+        others: Sequence[NDArray[np.int64]],
+        line: PointLine | None,
+    ) -> Planned:
+        """Path of a request that begins at a time [s] or later, and its points; beside the points of other axes."""
+        path = request.plan(running, time)
+        self._check(path)
+        ratios = {joint: self._gears[self._joints.index(joint)].gear_ratio for joint in path.joints}
+        points = thinned(path, timed_points(path, gear_ratios=list(ratios.values())), ratios)
+        if line is None:
+            return Planned(path, points, 0.0)
+        own = [each.periods for each in points.values()]
+        need = demand([*own, *others], line)
+        if need.lead > _LEAD_MAX:
+            raise TrajectoryError(
+                f"the path needs {need.rate:.0f} points/s of the board at {need.time:.3g} s after its start, and the "
+                f"line carries {line.rate:.0f} at {line.text} beside the telemetry; use a higher line speed, less "
+                "telemetry, or a smoother path with fewer waypoints per second"
+            )
+        return Planned(path, points, need.lead)
+
+    def _take_plan(self, request: _Request, running: Path, lead: float, begin: float, done: Future[Planned]) -> None:
+        """Follow a planned path, or plan it again if it comes too late or its joints have moved differently."""
+        if self._request is not request:
+            return  # replaced or cancelled in the meantime
+        request.planning = False
+        error = done.exception()
+        if error is not None:
+            self._refuse(request, _reported(error))
             return
+        planned = done.result()
+        path = planned.path
+        # The board needs the first point in time.
+        lead_min = max(_LEADS[request.attempt], planned.lead)
+        late = path.start_time - self._time() < max(_LEAD_REMAINDER_MIN * lead_min, planned.lead)
+        changed = not self._unchanged(request, running, path.start_time)
+        if request.plannings >= _ATTEMPTS and changed:
+            self._refuse(request, TrajectoryError("its joints moved while it was planned; stop them first"))
+        elif changed or (late and lead <= _LEAD_MAX and not self._can_move(request)):
+            self._start_planning(request, max(lead_min, lead + LEAD + 2.0 * (self._clock() - begin)))
+        else:
+            self._begin(request, _moved(planned, self._time() + lead_min) if late and lead <= _LEAD_MAX else planned)
+
+    def _refuse(self, request: _Request, error: TrajectoryError) -> None:
+        self._request = None
+        request.refused(error)
+
+    def _can_move(self, request: _Request) -> bool:
+        return request.movable and not request.start and all(self._axes[axis].path is None for axis in request.axes)
+
+    def _unchanged(self, request: _Request, running: Path, time: float) -> bool:
+        """True if the joints will be at a time [s] where they were expected to be when the planning began."""
+        joints = [self._joints[axis] for axis in request.axes]
+        then, now = (motion.select(joints).state(time) for motion in (running, self.running()))
+        differences = np.abs((now.position - then.position, now.velocity - then.velocity))
+        return bool(differences.max() <= _UNCHANGED)
+
+    def _begin(self, request: _Request, planned: Planned) -> None:
+        self._request = None
+        path = planned.path
         request.repeatable = all(self._axes[axis].path is None for axis in request.axes)
         for axis in map(self._joints.index, path.joints):
             joint = self._joints[axis]
             one = self._axes[axis]
             if one.path is not None:
                 one.whole(self._now - _HISTORY)
-            mine = _after(one, points[joint])
+            mine = _after(one, planned.points[joint])
             self._drop_from(one, int(mine.periods[0]))
             self._put(axis, mine, replaces=True)
             own = path.select([joint])
-            one.path = own if one.path is None else spliced(one.path, own, time)
+            one.path = own if one.path is None else spliced(one.path, own, self._now * PERIOD)
             replaced, one.request = one.request, request
             if replaced is not None and replaced.abandoned is not None:
                 replaced.abandoned(request.takes_over)
         request.begun(path.end_time)
 
-    def _plan(self, request: _Request, time: float) -> tuple[Path, dict[str, TimedPoints]]:
-        """Path of a request that begins at a time [s] or later, and its points by joint."""
-        path = request.plan(self.running(), time)
-        self._check(path)
-        ratios = [self._gears[self._joints.index(joint)].gear_ratio for joint in path.joints]
-        return path, timed_points(path, gear_ratios=ratios)
-
     def _put(self, axis: int, points: TimedPoints, *, replaces: bool) -> None:
-        one, joint, constant = self._axes[axis], self._gears[axis], self._torque_constant(axis)
-        positions = joint.motor_position(points.positions)
-        velocities, efforts = joint.motor_velocity(points.velocities), joint.motor_effort(points.efforts)
-        for k, period in enumerate(points.periods.tolist()):
-            point = TimedPoint(
-                axis,
-                period % (1 << 32),
-                float(positions[k]),
-                float(velocities[k]),
-                float(efforts[k]) / constant if efforts[k] else 0.0,
-                replaces=replaces and k == 0,
-            )
-            one.waiting.append(point)
-            one.ticks.append(period)
+        joint = self._gears[axis]
+        self._axes[axis].waiting.put(
+            points.periods,
+            joint.motor_position(points.positions),
+            joint.motor_velocity(points.velocities),
+            joint.motor_effort(points.efforts) / self._torque_constant(axis),
+            replaces=replaces,
+        )
 
     def _torque_constant(self, axis: int) -> float:
         constants = self.torque_constants
@@ -399,9 +519,7 @@ class Follower:
     @staticmethod
     def _drop_from(one: _Axis, tick: int) -> None:
         """Remove the points that the board discards: those from the first new point on."""
-        while one.ticks and one.ticks[-1] >= tick:
-            one.ticks.pop()
-            one.waiting.pop()
+        one.waiting.drop_from(tick)
         while one.sent and one.sent[-1] >= tick:
             one.sent.pop()
 
@@ -410,15 +528,40 @@ class Follower:
         """Words of the next points, the earliest first, limited by one write and the queues of the board."""
         chosen: list[TimedPoint] = []
         while len(chosen) < POINTS_PER_WRITE:
-            ready = [one for one in self._axes if one.waiting and len(one.sent) < _QUEUE]
+            ready = [one for one in self._axes if one.waiting and len(one.sent) < QUEUE]
             if not ready:
                 break
-            one = min(ready, key=lambda candidate: candidate.ticks[0])
-            if one.waiting[0].replaces and any(point.axis == one.waiting[0].axis for point in chosen):
+            one = min(ready, key=lambda candidate: candidate.waiting.tick)
+            if one.waiting.replaces and any(point.axis == self._axes.index(one) for point in chosen):
                 break  # a replacing point must be the first of its axis in a write
-            chosen.append(one.waiting.popleft())
-            one.sent.append(one.ticks.popleft())
+            tick, point = one.waiting.pop()
+            chosen.append(point)
+            one.sent.append(tick)
         return tuple(encode_points(self._catalogue, chosen)) if chosen else None
+
+
+def at_once(work: Callable[[], T], done: Callable[[Future[T]], None]) -> None:
+    """`Work` in the present thread."""
+    future: Future[T] = Future()
+    try:
+        future.set_result(work())
+    except TrajectoryError as error:
+        future.set_exception(error)
+    done(future)
+
+
+def _reported(error: BaseException) -> TrajectoryError:
+    """Error of a planning in another thread as the reason of a refusal."""
+    if isinstance(error, TrajectoryError):
+        return error
+    return TrajectoryError(f"internal error during the planning: {error!r}")
+
+
+def _moved(planned: Planned, start: float) -> Planned:
+    """A plan moved to a start [s] by whole PWM periods."""
+    by = math.ceil((start - planned.path.start_time) / PERIOD)
+    points = {joint: replace(each, periods=each.periods + by) for joint, each in planned.points.items()}
+    return Planned(planned.path.shifted(by * PERIOD), points, planned.lead)
 
 
 def _after(one: _Axis, points: TimedPoints) -> TimedPoints:
@@ -428,11 +571,12 @@ def _after(one: _Axis, points: TimedPoints) -> TimedPoints:
     replaced by a point of the old path with sufficient distance.
     """
     first = int(points.periods[0])
-    kept = [tick for tick in (*one.sent, *one.ticks) if tick < first]
-    if one.path is None or not kept or first - kept[-1] >= SEGMENT_PERIODS_MIN:
+    kept = np.concatenate((np.array(one.sent, dtype=np.int64), one.waiting.ticks))
+    kept = kept[kept < first]
+    if one.path is None or not len(kept) or first - kept[-1] >= SEGMENT_PERIODS_MIN:
         return points
     last = first - SEGMENT_PERIODS_MIN
-    before = max((tick for tick in kept if tick <= last), default=None)
+    before = max(kept[kept <= last].tolist(), default=None)
     if before is not None and last - before < SEGMENT_PERIODS_MIN:
         last = before
     state = one.path.state(last * PERIOD)

@@ -12,12 +12,13 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
+from servo_msgs_py.catalogue import AXES
 
 from servo_bridge.trajectory.blend import joined
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import START_TOLERANCE, path_through
-from servo_bridge.trajectory.waypoints import Waypoints, check_joints
+from servo_bridge.trajectory.waypoints import WAYPOINTS_MAX, Waypoints, check_joints
 
 _STANDING = float(np.finfo(np.float32).eps)
 """Velocity that joint_trajectory_controller accepts as zero at the end [rad/s]."""
@@ -122,6 +123,22 @@ def _waypoints(message: Any, names: list[str], begin: float) -> Waypoints:
 
 
 _FIELDS = ("positions", "velocities", "accelerations", "effort")
+
+
+def check_size(message: Any, source: str) -> None:
+    """Refuse a message with more joints or points than can be planned, before any work on them.
+
+    Raises
+    ------
+    TrajectoryError
+        With the bound.
+    """
+    for name, size, most in (
+        ("joint_names", len(message.joint_names), AXES),
+        ("points", len(message.points), WAYPOINTS_MAX),
+    ):
+        if size > most:
+            raise TrajectoryError(f"{source}: {name} has {size} entries, more than {most}; send at most {most}")
 
 
 def _check_known(names: Sequence[str], known: Sequence[str]) -> None:

@@ -42,11 +42,14 @@ def _pieces(path: Path, begins: Array) -> Array:
     """Coefficients of a path for pieces that begin at these times, shape (times, joints, 6)."""
     last = len(path.times) - 2
     piece = np.clip(np.searchsorted(path.times, begins, side="right") - 1, 0, last)
-    old, s = path.coefficients[piece], (begins - path.times[piece])[:, None]
-    shifted = np.zeros_like(old)
+    shifted = path.coefficients[piece]
+    within = np.flatnonzero(begins != path.times[piece])  # the others keep their coefficients
+    old, s = shifted[within], (begins - path.times[piece])[within, None]
+    moved = np.zeros_like(old)
     for k in range(DEGREE + 1):
         for j in range(k, DEGREE + 1):
-            shifted[..., k] += comb(j, k) * old[..., j] * s ** (j - k)
+            moved[..., k] += comb(j, k) * old[..., j] * s ** (j - k)
+    shifted[within] = moved
     outside = (begins < path.start_time) | (begins >= path.end_time)
     shifted[outside] = 0.0
     shifted[outside, :, 0] = path.state(begins[outside]).position

@@ -132,7 +132,8 @@ class Path:
         time = np.asarray(t, dtype=np.float64)
         last = len(self.times) - 2
         piece = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last)
-        begin, length = self.times[piece], np.diff(self.times)[piece]
+        begin = self.times[piece]
+        length = self.times[piece + 1] - begin
         s = (time - begin)[..., None]
         c = np.moveaxis(self.coefficients[piece], -1, 0)
         position, velocity, acceleration = c[DEGREE], DEGREE * c[DEGREE], DEGREE * (DEGREE - 1) * c[DEGREE]

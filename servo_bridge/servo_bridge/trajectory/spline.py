@@ -11,6 +11,9 @@ from servo_bridge.trajectory.waypoints import Array, Waypoints
 START_TOLERANCE = 0.01
 """Largest distance between a waypoint at the start time and the joint [rad]: ``allowed_start_tolerance`` of MoveIt."""
 
+_COUPLING_MIN = 1.0e-18
+"""Coupling of two waypoints below which they are independent, relative to the diagonal."""
+
 
 def path_through(
     waypoints: Waypoints,
@@ -100,8 +103,8 @@ def quintic(h: Array, p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, a1:
 def _spline_velocities(times: Array, positions: Array, velocities: Array) -> Array:
     """Velocities whose missing values (NaN) make the acceleration continuous.
 
-    Row k of the tridiagonal system: the cubics left and right of waypoint k have the same second derivative. Thomas
-    algorithm, all joints at once; the matrix is diagonally dominant.
+    Row k of the tridiagonal system: the cubics left and right of waypoint k have the same second derivative. Rows of
+    given velocities are the identity.
     """
     given: Array = np.array(velocities)
     given[[0, -1]] = np.nan_to_num(given[[0, -1]])
@@ -110,16 +113,39 @@ def _spline_velocities(times: Array, positions: Array, velocities: Array) -> Arr
         return given
     inverse = 1.0 / np.diff(times)[:, None]
     slope = np.diff(positions, axis=0) * inverse
-    upper, right = np.zeros_like(given), np.array(given)
-    for k in range(1, len(times) - 1):
-        left, here = inverse[k - 1], inverse[k]
-        pivot = 2.0 * (left + here) - left * upper[k - 1]
-        value = (3.0 * (slope[k - 1] * left + slope[k] * here) - left * right[k - 1]) / pivot
-        upper[k] = np.where(free[k], here / pivot, 0.0)
-        right[k] = np.where(free[k], value, given[k])
-    for k in range(len(times) - 2, 0, -1):
-        right[k] -= upper[k] * right[k + 1]
-    return right
+    left, right = np.zeros_like(given), np.zeros_like(given)
+    left[1:-1], right[1:-1] = np.where(free[1:-1], inverse[:-1], 0.0), np.where(free[1:-1], inverse[1:], 0.0)
+    diagonal = np.where(free, 2.0 * (left + right), 1.0)
+    value = given.copy()
+    value[1:-1] = np.where(free[1:-1], 3.0 * (slope[:-1] * inverse[:-1] + slope[1:] * inverse[1:]), given[1:-1])
+    return _solved(left / diagonal, right / diagonal, value / diagonal)
+
+
+def _solved(left: Array, right: Array, value: Array) -> Array:
+    """Solution x of ``left[k] x[k - 1] + x[k] + right[k] x[k + 1] = value[k]`` for every column.
+
+    Cyclic reduction in parallel: every step eliminates the neighbours at a distance, which doubles. The couplings of a
+    diagonally dominant system decrease quadratically, so that few steps are needed for any number of rows.
+    """
+    distance = 1
+    while distance < len(value) and max(np.abs(left).max(), np.abs(right).max()) > _COUPLING_MIN:
+        before, after = _moved((left, right, value), distance), _moved((left, right, value), -distance)
+        scale = 1.0 / (1.0 - left * before[1] - right * after[0])
+        value = scale * (value - left * before[2] - right * after[2])
+        left, right = -scale * left * before[0], -scale * right * after[1]
+        distance *= 2
+    return value
+
+
+def _moved(columns: tuple[Array, ...], by: int) -> list[Array]:
+    """Columns moved by a number of rows, with zeros in the free ones."""
+    result = [np.zeros_like(column) for column in columns]
+    for moved, column in zip(result, columns, strict=True):
+        if by > 0:
+            moved[by:] = column[:-by]
+        else:
+            moved[:by] = column[-by:]
+    return result
 
 
 def _check_near(waypoints: Waypoints, start: State, tolerance: float) -> None:

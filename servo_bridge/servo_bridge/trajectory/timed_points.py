@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,33 +107,47 @@ def _points_of(path: Path, axis: int, tolerance: float, rest: float) -> TimedPoi
     knots = _knots(path, axis, _KINK_SHARE * tolerance, rest)
     fourth = _fourth_derivative_max(path, axis)
     peak = _acceleration_max(path, axis)
-    pieces = [np.array(knots[:1], dtype=np.int64)]
-    for begin, end in pairwise(knots):
-        length = end - begin
-        # Pieces of the path that overlap the segment by more than rounding.
-        first, last = np.searchsorted(path.times, [(begin + 0.5) * PERIOD, (end - 0.5) * PERIOD])
-        size = float(fourth[max(first - 1, 0) : last].max(initial=0.0))
-        bound = 384.0 * (1.0 - 2.0 * _KINK_SHARE) * tolerance
-        parts = math.ceil(length * PERIOD * (size / bound) ** 0.25)
-        if size > 0.0:
-            parts = max(parts, math.ceil(length * PERIOD * math.sqrt(size / (12.0 * _ACCELERATION_SHARE * peak))))
-        parts = max(min(parts, length // SEGMENT_PERIODS_MIN), -(-length // SEGMENT_PERIODS_MAX), 1)
-        pieces.append(begin + np.arange(1, parts + 1) * length // parts)
-    periods = np.concatenate(pieces)
+    begin, length = knots[:-1], np.diff(knots)
+    # Pieces of the path that overlap the segment by more than rounding.
+    first = np.maximum(np.searchsorted(path.times, (begin + 0.5) * PERIOD) - 1, 0)
+    last = np.searchsorted(path.times, (knots[1:] - 0.5) * PERIOD)
+    size = _largest(fourth, first, last)
+    bound = 384.0 * (1.0 - 2.0 * _KINK_SHARE) * tolerance
+    parts = np.ceil(length * PERIOD * (size / bound) ** 0.25)
+    if peak > 0.0:
+        parts = np.maximum(parts, np.ceil(length * PERIOD * np.sqrt(size / (12.0 * _ACCELERATION_SHARE * peak))))
+    parts = np.minimum(parts, length // SEGMENT_PERIODS_MIN).astype(np.int64)
+    parts = np.maximum(parts, np.maximum(-(-length // SEGMENT_PERIODS_MAX), 1))
+    ends = np.cumsum(parts)
+    number = np.arange(1, ends[-1] + 1) - np.repeat(ends - parts, parts)  # of the part in its segment
+    inner = np.repeat(begin, parts) + number * np.repeat(length, parts) // np.repeat(parts, parts)
+    periods = np.concatenate((knots[:1], inner))
+    points = _sampled(path, axis, periods, rest)
+    _check_deviation(path, axis, points, tolerance)
+    return points
+
+
+def _sampled(path: Path, axis: int, periods: NDArray[np.int64], rest: float) -> TimedPoints:
+    """Points of a path at PWM periods."""
     state = path.continued(periods * PERIOD)
     positions, velocities, efforts = (x[:, axis].copy() for x in (state.position, state.velocity, state.effort))
     if _ends_at_rest(path, axis, rest):
         positions[-1], velocities[-1] = path.end[axis], 0.0
-    points = TimedPoints(periods, positions, velocities, efforts)
-    _check_deviation(path, axis, points, tolerance)
-    return points
+    return TimedPoints(periods, positions, velocities, efforts)
+
+
+def _largest(values: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
+    """Largest of the values from `first` to before `last`, for each pair; 0 for an empty range."""
+    pairs = np.column_stack((first, np.maximum(last, first))).reshape(-1)
+    result: Array = np.maximum.reduceat(np.append(values, 0.0), pairs)[::2]
+    return np.where(last > first, result, 0.0)
 
 
 def _ends_at_rest(path: Path, axis: int, rest: float) -> bool:
     return bool(abs(path.state(path.end_time).velocity[axis]) < rest)
 
 
-def _knots(path: Path, axis: int, kink: float, rest: float) -> list[int]:
+def _knots(path: Path, axis: int, kink: float, rest: float) -> NDArray[np.int64]:
     """Breakpoints in PWM periods, at least one segment apart, with additional points 1 ms from sharp ones.
 
     A breakpoint that is rounded into one piece has the velocity of that piece. If the acceleration steps there, the
@@ -144,22 +157,29 @@ def _knots(path: Path, axis: int, kink: float, rest: float) -> list[int]:
     periods = np.rint(path.times / PERIOD).astype(np.int64)
     if periods[-1] - periods[0] < SEGMENT_PERIODS_MIN:
         raise TrajectoryError(f"the path of {path.joints[axis]} is shorter than 1 ms; give the motion more time")
-    kept = [0]
-    for k in range(1, len(periods) - 1):
-        if min(periods[k] - periods[kept[-1]], periods[-1] - periods[k]) >= SEGMENT_PERIODS_MIN:
-            kept.append(k)
-    kept.append(len(periods) - 1)
+    kept = _apart(periods)
     error = _velocity_errors(path, axis, periods, rest)[kept]
-    knots = [int(x) for x in periods[kept]]
-    result = knots[:1]
-    for k, (begin, end) in enumerate(pairwise(knots)):
-        threshold = kink / (4.0 / 27.0 * (end - begin) * PERIOD)
-        if error[k] < -threshold and begin + 2 * SEGMENT_PERIODS_MIN <= end:
-            result.append(begin + SEGMENT_PERIODS_MIN)
-        if error[k + 1] > threshold and result[-1] + 2 * SEGMENT_PERIODS_MIN <= end:
-            result.append(end - SEGMENT_PERIODS_MIN)
-        result.append(end)
+    knots = periods[kept]
+    begin, end = knots[:-1], knots[1:]
+    threshold = kink / (4.0 / 27.0 * (end - begin) * PERIOD)
+    after = (error[:-1] < -threshold) & (begin + 2 * SEGMENT_PERIODS_MIN <= end)
+    before = (error[1:] > threshold) & (begin + (2 + after) * SEGMENT_PERIODS_MIN <= end)
+    rows = np.column_stack((begin + SEGMENT_PERIODS_MIN, end - SEGMENT_PERIODS_MIN, end))
+    added = np.column_stack((after, before, np.ones_like(after)))
+    result: NDArray[np.int64] = np.concatenate((knots[:1], rows[added]))
     return result
+
+
+def _apart(periods: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Indices of the first and the last period, and of those between that are a segment apart from the others."""
+    if np.diff(periods).min() >= SEGMENT_PERIODS_MIN:
+        return np.arange(len(periods))
+    ticks = periods.tolist()
+    kept = [0]
+    for k in range(1, len(ticks) - 1):
+        if min(ticks[k] - ticks[kept[-1]], ticks[-1] - ticks[k]) >= SEGMENT_PERIODS_MIN:
+            kept.append(k)
+    return np.array([*kept, len(ticks) - 1])
 
 
 def _velocity_errors(path: Path, axis: int, periods: NDArray[np.int64], rest: float) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 
 Array = NDArray[np.float64]
+
+WAYPOINTS_MAX: Final = 100_000
+"""Largest number of waypoints of a path: 1000 s at 100 Hz."""
+
+DURATION_MAX: Final = 1.0e5
+"""Longest path [s]; above it, times of board and path have rounding errors of a PWM period."""
 
 Rows = Sequence[ArrayLike | None] | Array | None
 """One row per waypoint; None if a waypoint, or all of them, do not have the quantity."""
@@ -57,17 +64,14 @@ class Waypoints:
         """
         check_joints(joints)
         instants = np.array(times, dtype=np.float64).reshape(-1)
-        if not len(instants):
-            raise TrajectoryError("there are no waypoints; write at least one")
-        for k, time in enumerate(instants):
-            if not np.isfinite(time):
-                raise TrajectoryError(f"time of point #{k} is {time:g}; write a finite number")
-            if k and time <= instants[k - 1]:
-                raise TrajectoryError(
-                    f"time between points {k - 1} and {k} is not strictly increasing ({instants[k - 1]:g} s, "
-                    f"{time:g} s); times of points must increase"
-                )
         count = len(instants)
+        if not count:
+            raise TrajectoryError("there are no waypoints; write at least one")
+        if count > WAYPOINTS_MAX:
+            raise TrajectoryError(
+                f"there are {count} waypoints, more than {WAYPOINTS_MAX}; send the path in parts or with fewer points"
+            )
+        _check_times(instants)
         tables = [
             _table(joints, count, name, rows)
             for name, rows in (
@@ -101,6 +105,23 @@ class Waypoints:
         return replace(self, positions=self.positions + math.tau * turns)
 
 
+def _check_times(times: Array) -> None:
+    infinite = ~np.isfinite(times)
+    if infinite.any():
+        k = int(np.argmax(infinite))
+        raise TrajectoryError(f"time of point #{k} is {times[k]:g}; write a finite number")
+    backwards = np.diff(times) <= 0.0
+    if backwards.any():
+        k = int(np.argmax(backwards))
+        raise TrajectoryError(
+            f"time between points {k} and {k + 1} is not strictly increasing ({times[k]:g} s, {times[k + 1]:g} s); "
+            "times of points must increase"
+        )
+    duration = float(times[-1] - times[0])
+    if duration > DURATION_MAX:
+        raise TrajectoryError(f"the trajectory takes {duration:g} s, more than {DURATION_MAX:g} s; send it in parts")
+
+
 def check_joints(joints: Sequence[str]) -> None:
     """Check that there are joints, without repetition.
 
@@ -118,22 +139,30 @@ def check_joints(joints: Sequence[str]) -> None:
 
 def _table(joints: Sequence[str], count: int, name: str, rows: Rows) -> Array:
     """Rows as an array; missing rows are NaN."""
-    table = np.full((count, len(joints)), np.nan)
     if rows is None:
-        return table
+        return np.full((count, len(joints)), np.nan)
     if len(rows) != count:
         raise TrajectoryError(f"there are {len(rows)} rows of {name} for {count} points; write one per point")
-    for k, row in enumerate(rows):
-        if row is None:
-            continue
-        values = np.array(row, dtype=np.float64).reshape(-1)
-        if len(values) != len(joints):
-            raise TrajectoryError(
-                f"mismatch between joint_names size ({len(joints)}) and {name} ({len(values)}) at point #{k}; "
-                "write one value per joint"
-            )
-        for joint, value in zip(joints, values, strict=True):
-            if not np.isfinite(value):
-                raise TrajectoryError(f"{name} of {joint} at point #{k} is {value:g}; write a finite number")
-        table[k] = values
+    if isinstance(rows, np.ndarray):
+        table, given = np.array(rows, dtype=np.float64).reshape(count, -1), np.ones(count, dtype=bool)
+        sizes = np.full(count, table.shape[1])
+    else:
+        given = np.array([row is not None for row in rows])
+        values = [np.asarray(row, dtype=np.float64).reshape(-1) for row in rows if row is not None]
+        sizes = np.zeros(count, dtype=np.int64)
+        sizes[given] = [len(row) for row in values]
+        table = np.full((count, len(joints)), np.nan)
+        if (sizes[given] == len(joints)).all() and values:
+            table[given] = np.stack(values)
+    wrong = given & (sizes != len(joints))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"mismatch between joint_names size ({len(joints)}) and {name} ({sizes[k]}) at point #{k}; "
+            "write one value per joint"
+        )
+    infinite = given[:, None] & ~np.isfinite(table)
+    if infinite.any():
+        k, axis = divmod(int(np.argmax(infinite)), len(joints))
+        raise TrajectoryError(f"{name} of {joints[axis]} at point #{k} is {table[k, axis]:g}; write a finite number")
     return table

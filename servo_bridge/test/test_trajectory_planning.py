@@ -1,0 +1,200 @@
+"""Planning of long paths in another thread, bounds, and paths that the line does not carry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import Future
+from types import SimpleNamespace
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.follower import QUICK, AxisReport, Follower
+from servo_bridge.trajectory.from_message import check_size
+from servo_bridge.trajectory.line_capacity import PointLine
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.timed_points import PERIOD
+from servo_bridge.trajectory.waypoints import DURATION_MAX, WAYPOINTS_MAX, Waypoints
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
+from servo_msgs_py.timed_points import decode_points
+
+CATALOGUE = Catalogue.load()
+JOINTS = joint_names(DEFAULT_JOINTS)
+SAMPLE = 160  # ticks between two samples
+T = TypeVar("T")
+
+
+class Rig:
+    """Follower of a resting board whose long plannings wait until the test runs them."""
+
+    def __init__(self, line: PointLine | None = None) -> None:
+        self.works: list[Callable[[], None]] = []
+        self.refusals: list[str] = []
+        self.ends: list[float] = []
+        self.time = 0.0  # s
+        self.tick = 8000
+        self.references = [0.0, 0.0]
+        self.follower = Follower(
+            CATALOGUE, DEFAULT_JOINTS, lambda _: None, clock=lambda: self.time, work=self._work, line=lambda: line
+        )
+        self.sample(3)
+
+    def _work(self, work: Callable[[], T], done: Callable[[Future[T]], None]) -> None:
+        def run() -> None:
+            future: Future[T] = Future()
+            try:
+                future.set_result(work())
+            except Exception as error:
+                future.set_exception(error)
+            done(future)
+
+        self.works.append(run)
+
+    def sample(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.tick += SAMPLE
+            self.time += SAMPLE * PERIOD
+            self.follower.on_sample(self.tick, [AxisReport(place, follows=True) for place in self.references])
+
+    def follow(self, count: int, rate: float = 100.0, noise: float = 0.0) -> None:
+        """Request a path of many waypoints."""
+
+        def plan(running: Path, now: float) -> Path:
+            t = np.arange(1, count + 1) / rate
+            rows = np.stack((1.0 - np.cos(t), np.cos(t) - 1.0), axis=1)
+            rows += noise * np.random.default_rng(1).standard_normal(rows.shape)
+            return path_through(Waypoints.of(JOINTS, now + t, rows), running.state(now), now)
+
+        self.follower.request(
+            JOINTS, plan, self.ends.append, lambda error: self.refusals.append(str(error)), size=count, movable=True
+        )
+
+
+def test_long_path_is_planned_beside_the_samples_and_moved_to_its_start() -> None:
+    rig = Rig()
+    rig.follow(2000)
+    assert rig.follower.axes == frozenset()  # nothing changes until it has been checked
+    assert rig.follower.claimed == {0, 1}
+    rig.works.pop(0)()
+    rig.sample(2)
+    assert rig.follower.axes == {0, 1}
+    assert not rig.ends
+    rig.sample(60)  # 0.6 s pass during the planning
+    rig.works.pop(0)()
+    assert not rig.works
+    (end,) = rig.ends
+    start = rig.follower.paths()["axis1"].start_time
+    assert 0.09 < start - rig.follower.now < 0.2
+    assert end == pytest.approx(start + 20.0, abs=0.01)
+    words = rig.follower.next_points()
+    assert words is not None
+    assert decode_points(CATALOGUE, words)[0].tick == pytest.approx(start / PERIOD, abs=1)
+
+
+def test_short_path_is_planned_at_once() -> None:
+    rig = Rig()
+    rig.follow(QUICK)
+    rig.sample()
+    assert not rig.works
+    assert rig.ends
+
+
+@pytest.mark.parametrize("after", [0, 1])
+def test_command_during_the_planning_cancels_the_path(after: int) -> None:
+    rig = Rig()
+    rig.follow(1000)
+    for _ in range(after):
+        rig.works.pop(0)()
+        rig.sample()
+    rig.follower.cancel(0, "a set-point took over")
+    for work in rig.works:
+        work()
+    assert rig.refusals == ["a set-point took over"]
+    assert not rig.ends
+    assert rig.follower.claimed == frozenset()
+
+
+def test_path_is_planned_again_if_a_joint_has_moved_meanwhile() -> None:
+    rig = Rig()
+    rig.follow(1000)
+    rig.works.pop(0)()
+    rig.sample()
+    rig.references = [0.5, 0.0]
+    rig.sample(2)
+    rig.works.pop(0)()
+    assert not rig.ends
+    rig.works.pop(0)()
+    assert rig.ends
+    assert rig.follower.paths()["axis1"].coefficients[0, 0, 0] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_path_of_a_joint_that_never_rests_is_refused() -> None:
+    rig = Rig()
+    rig.follow(1000)
+    rig.works.pop(0)()
+    rig.sample()
+    for k in range(1, 10):
+        rig.references = [0.1 * k, 0.0]
+        rig.sample()
+        if rig.works:
+            rig.works.pop(0)()
+    assert rig.refusals == ["its joints moved while it was planned; stop them first"]
+
+
+def test_error_of_a_long_path_is_its_refusal() -> None:
+    rig = Rig()
+
+    def fail(_running: Path, _now: float) -> Path:
+        raise ValueError("planted")
+
+    rig.follower.request(JOINTS, fail, rig.ends.append, lambda error: rig.refusals.append(str(error)), size=QUICK + 1)
+    rig.works.pop(0)()
+    assert "planted" in rig.refusals[0]
+
+
+@pytest.mark.parametrize("rate", [50.0, 125.0, 250.0])
+def test_smooth_path_of_any_rate_is_carried_by_a_slow_line(rate: float) -> None:
+    rig = Rig(PointLine(0.5, "a slow line"))  # 16 points/s
+    rig.follow(round(4 * rate), rate)
+    while not (rig.ends or rig.refusals):
+        rig.sample()
+        while rig.works:
+            rig.works.pop(0)()
+    assert not rig.refusals
+    start = rig.follower.paths()["axis1"].start_time
+    assert start - rig.follower.now > 0.5  # the first write takes as long
+
+
+def test_path_that_the_line_does_not_carry_is_refused_with_both_rates() -> None:
+    rig = Rig(PointLine(0.04, "115200 baud"))
+    rig.follow(QUICK, 150.0, noise=0.01)
+    rig.sample()
+    (refusal,) = rig.refusals
+    assert "the line carries 200 at 115200 baud" in refusal
+    assert "the path needs 29" in refusal  # 300 points/s of both joints
+    assert not rig.ends
+
+
+def message(joints: int, points: int) -> Any:
+    return SimpleNamespace(joint_names=["axis1"] * joints, points=[None] * points)
+
+
+@pytest.mark.parametrize(
+    ("joints", "points", "bound"), [(2, WAYPOINTS_MAX + 1, WAYPOINTS_MAX), (3, 2, 2), (10**6, 1, 2)]
+)
+def test_size_of_a_message_is_bounded_before_any_work(joints: int, points: int, bound: int) -> None:
+    check_size(message(2, WAYPOINTS_MAX), "a topic")
+    with pytest.raises(TrajectoryError, match=f"more than {bound}; send at most {bound}"):
+        check_size(message(joints, points), "a topic")
+
+
+def test_number_and_duration_of_waypoints_are_bounded() -> None:
+    Waypoints.of(["axis1"], np.arange(1, WAYPOINTS_MAX + 1), np.zeros((WAYPOINTS_MAX, 1)))
+    with pytest.raises(TrajectoryError, match=f"more than {WAYPOINTS_MAX}"):
+        Waypoints.of(["axis1"], np.arange(WAYPOINTS_MAX + 1), np.zeros((WAYPOINTS_MAX + 1, 1)))
+    with pytest.raises(TrajectoryError, match=f"more than {DURATION_MAX:g} s"):
+        Waypoints.of(["axis1"], [0.0, math.nextafter(DURATION_MAX, math.inf)], np.zeros((2, 1)))
