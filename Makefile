@@ -44,7 +44,8 @@ METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
 # x86-64.
 ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64-v3 .supported' && \
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
-COMPILE = cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
+# The compiled virtual boards, a stamp for each level.
+BOARDS := $(VENV)/.ideal $(VENV)/.registers
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
 TESTS := test test-simulated test-realtime
@@ -58,7 +59,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
+.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -66,6 +67,8 @@ help: ## list the targets
 
 setup: $(VENV)/.native ## virtual environment with everything that runs
 	@echo "ready: $(BIN)"
+
+extras: $(VENV)/.extras ## Dask for `servo-sim --scheduler`, Optuna for `servo-sim tune-robust`
 
 demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png
 	@$(BIN)/servo-up --demo --out out
@@ -84,10 +87,10 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry, latency and download against t
 	@$(BIN)/python tests/bench/sweep.py
 	@$(BIN)/servo-sim bench
 
-bench-damage: $(VENV)/.dev ## a million damaged frames between client and server; DAMAGE_ARGS='--frames 1000'
+bench-damage: $(VENV)/.native $(VENV)/.dev ## a million damaged frames between client and server; DAMAGE_ARGS='--frames 1000'
 	@$(BIN)/python tests/bench/damage.py $(DAMAGE_ARGS)
 
-bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
+bench-firmware: $(VENV)/.native ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
 
 chip-budget: ## stack and RAM of the chip, estimated with arm-none-eabi-gcc and avr-gcc
@@ -107,10 +110,10 @@ launch-tools: $(VENV)/.packages ## `ros2 launch`, for the tests, from a folder w
 	@mkdir $(VENV)/ros2launch/composition_interfaces
 	@printf 'class LoadNode:\n    class Request: ...\n    class Response: ...\n' >$(VENV)/ros2launch/composition_interfaces/srv.py
 
-targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on every compiler and machine
+targets: $(VENV)/.native ## the same bits everywhere: replay recorded runs on every compiler and machine
 	@PYTHONPATH=tests $(BIN)/python -m targets $(TARGETS_ARGS)
 
-fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
+fuzz: $(VENV)/.native ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
 	@$(BIN)/python firmware/test/freemaster_fuzz.py $(call option,--seconds,FUZZ_SECONDS)
 
 # Tests in real time mostly wait for the clock. The others use the rest of the processors, with the lowest priority: as processes,
@@ -167,9 +170,9 @@ build: $(VENV)/.native ## compile the firmware and the virtual board (part of se
 fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, results equal except for rounding
 
 $(VENV)/.fast: $(VENV)/.native
-	@rm -f $(VENV)/.native
+	@rm -f $(VENV)/.native $(BOARDS)
 	@SERVO_TWIN_FLAGS='$(ARCH)' $(BIN)/python tests/bench/guided_build.py --profile $(VENV)/profile
-	@touch $(VENV)/.native $@
+	@touch $(BOARDS) $(VENV)/.native $@
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
 generated-sources tune: export PYTHONPATH := servo_msgs_py
@@ -179,7 +182,7 @@ generated-sources: $(VENV)/.created
 	@$(BIN)/python firmware/config/tune.py
 
 generate: generated-sources ## rewrite the committed generated files
-	@$(MAKE) --no-print-directory $(VENV)/.packages
+	@$(MAKE) --no-print-directory $(VENV)/.native
 	@for file in $(PARAMETER_FILES); do \
 	  $(BIN)/$$(basename $$file .yaml) --parameter-file >$(VENV)/parameters.yaml || exit; \
 	  cmp -s $(VENV)/parameters.yaml $$file || cp $(VENV)/parameters.yaml $$file; done
@@ -207,33 +210,41 @@ $(TESTS): export PYTHONDONTWRITEBYTECODE :=
 
 $(VENV)/.created:
 	@python=$$(sh .ci/check-tools) && \
-	echo "[1/4] virtual environment $(VENV) with $$python" && \
+	echo "[1/2] virtual environment $(VENV) with $$python" && \
 	"$$python" -m venv --clear $(if $(ROS_DISTRO),--system-site-packages) $(VENV)
-	@$(PIP) install --quiet --no-compile --constraint constraints.txt pip setuptools cffi numpy 'tomli; python_version < "3.11"'
+	@$(PIP) install --quiet --no-compile --constraint constraints.txt setuptools cffi numpy 'tomli; python_version < "3.11"'
+	@touch $@
+
+# The packages are installed while the C is compiled: one waits for the network, the other for the processor.
+$(VENV)/.native: $(VENV)/.created Makefile constraints.txt $(METADATA) $(NATIVE)
+	@$(MAKE) --no-print-directory --jobs=3 $(VENV)/.packages $(BOARDS)
 	@touch $@
 
 $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
-	@echo "[2/4] servo_msgs_py and ROS 2 Jazzy"
 	@if [ -n "$(ROS_DISTRO)" ] && $(BIN)/python -c 'import rclpy' 2>/dev/null; then \
-	  echo "      rclpy of the sourced ROS 2 $(ROS_DISTRO)"; $(INSTALL) --editable ./servo_msgs_py; \
-	else $(INSTALL) --editable './servo_msgs_py[ros]'; fi
-	@echo "[3/4] servo_bridge"
-	@$(INSTALL) --editable ./servo_bridge
-	@echo "[4/4] servo_twin: rerun, matplotlib, Dask, Optuna, and the C of firmware and virtual board"
-	@rm -f servo_twin/servo_twin/*.so # an older one would be taken as it is
-	@SERVO_TWIN_FLAGS='$(ARCH)' $(INSTALL) --editable './servo_twin[viewer,cluster,tune]'
+	  echo "[2/2] rclpy of the sourced ROS 2 $(ROS_DISTRO), rerun and matplotlib"; ros=; \
+	else echo "[2/2] ROS 2 Jazzy, rerun and matplotlib"; ros='[ros]'; fi; \
+	SERVO_TWIN_MODULES= $(INSTALL) --editable "./servo_msgs_py$$ros" --editable ./servo_bridge --editable './servo_twin[viewer]'
 	@# An editable install leaves data files out: the ament index, launch files and what `ros2 run` starts.
-	@for package in $(PACKAGES); do \
-	  (cd $$package && ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
+	@for package in $(PACKAGES); do (cd $$package && SERVO_TWIN_MODULES= \
+	  ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
 	@touch $@
 
-# Installing servo_twin compiles it; this is for every later change of the C sources.
-$(VENV)/.native: $(VENV)/.packages $(NATIVE)
-	@[ -z "$$(find $(NATIVE) -newer $(VENV)/.packages)" ] || { echo "compiling firmware and virtual board"; $(COMPILE); }
+$(VENV)/.ideal: MODULE := ffi
+$(VENV)/.registers: MODULE := registers_ffi
+$(BOARDS): $(VENV)/.created $(NATIVE)
+	@echo "      compiling firmware and virtual board, level $(patsubst .%,%,$(@F))"
+	@cd servo_twin && SERVO_TWIN_MODULES=$(MODULE) SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet \
+	  build_ext --inplace --force --build-temp build/$(MODULE)
+	@touch $@
+
+$(VENV)/.extras: $(VENV)/.packages
+	@$(INSTALL) 'servo_twin[cluster,tune]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.packages pyproject.toml
 	@echo "[dev] tools for tests and checks"
+	@$(PIP) install --quiet --no-compile --constraint constraints.txt pip # the one of venv may not know groups
 	@$(INSTALL) --group dev
 	@$(PIP) install --quiet --no-compile --no-deps --upgrade --target $(UBUNTU_PYTEST) pytest==7.4.4
 	@touch $@

@@ -1,11 +1,16 @@
 """Build of the ROS package servo_twin, with colcon or with pip."""
 
+import os
 from glob import glob
 
 from setuptools import find_packages, setup
 
 PACKAGE = "servo_twin"
 SHARE = f"share/{PACKAGE}"
+
+# Levels of the virtual board that are compiled, as functions of the build script. `make` compiles each by itself, while
+# the packages are installed.
+MODULES = os.environ.get("SERVO_TWIN_MODULES", "ffi registers_ffi").split()
 
 setup(
     name=PACKAGE,
@@ -41,7 +46,7 @@ setup(
         # The nodes and experiments run without; there is no rerun for Python 3.10.
         "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },
-    cffi_modules=["servo_twin/_build_native.py:ffi", "servo_twin/_build_native.py:registers_ffi"],
+    cffi_modules=[f"servo_twin/_build_native.py:{module}" for module in MODULES],
     entry_points={
         "console_scripts": [
             "servo_twin = servo_twin.programs:twin",

@@ -51,7 +51,7 @@ def run_on_cluster(work: Work[Result], numbers: Iterable[int], address: str) -> 
     try:
         distributed: Any = importlib.import_module("distributed")  # incomplete type hints
     except ImportError:
-        raise RunError("a cluster needs Dask: pip install 'servo_twin[cluster]'") from None
+        raise RunError("a cluster needs Dask: `make extras`, or pip install 'servo_twin[cluster]'") from None
     try:
         client = distributed.Client(address, timeout=CONNECT_TIME, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

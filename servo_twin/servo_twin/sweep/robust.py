@@ -134,7 +134,7 @@ def search(
     try:
         optuna: Any = importlib.import_module("optuna")
     except ImportError:
-        raise SimulationError("tune-robust needs Optuna: pip install 'servo_twin[tune]'") from None
+        raise SimulationError("tune-robust needs Optuna: `make extras`, or pip install 'servo_twin[tune]'") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
 
     sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
