@@ -54,6 +54,40 @@ def record(file: Path) -> Callable[[Callable[[Viewer], None]], Viewer]:
 Record = Callable[[Callable[[Viewer], None]], Viewer]
 
 
+def test_every_state_has_a_colour(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rerun draws a state without one in the colours of a warning."""
+    configured: set[str] = set()
+    shown: set[tuple[str, str]] = set()
+    static, state = Recording._static, Recording.state
+
+    def log_static(self: Recording, entity: str, component: Any) -> None:
+        if type(component).__name__ == "StateConfiguration":
+            configured.add(entity)
+        static(self, entity, component)
+
+    def log_state(self: Recording, name: str, time: float, label: str) -> None:
+        shown.add((name, label))
+        state(self, name, time, label)
+
+    monkeypatch.setattr(Recording, "_static", log_static)
+    monkeypatch.setattr(Recording, "state", log_state)
+
+    def feed(viewer: Viewer) -> None:
+        homes = [f"{name}.home_state" for _, name in scene.axes()]
+        table = move()
+        for value in CATALOGUE.enums["home_state_t"].values():
+            viewer.board([*COLUMNS, *homes], np.hstack([table, np.full((len(table), 2), float(value))]))
+        viewer.board_state(stamp(0), "axis1=STOP axis2=STOP")
+        viewer.healthy(stamp(0), True)
+        viewer.changes(stamp(0), [], {})
+
+    record(feed)
+    assert len(shown) > 10
+    assert {scene.state_entity(name) for name, _ in shown} <= configured
+    assert {label for _, label in shown} <= set(scene.STATE_COLOURS)
+    assert set(scene.HOME_STATES) == set(CATALOGUE.enums["home_state_t"])
+
+
 def read_strips(file: Path, entity: str) -> list[NDArray[np.float64]]:
     """Strips of a curve in the plane, in the order of time."""
     from rerun.chunk import RrdReader

@@ -51,7 +51,9 @@ def blueprint() -> Any:
             ),
             plot(f"{name}: load [N m]", origin, [f"+ {load}"]),
         ]
-        columns.append(rrb.Vertical(*plots, rrb.Tabs(*residuals, active_tab=0), name=name))
+        tabs = rrb.Tabs(*residuals, active_tab=0)
+        # Rerun labels powers of ten only, and in a plot of 150 points often none but 0: residuals are small.
+        columns.append(rrb.Vertical(*plots, tabs, row_shares=[*(4 for _ in plots), 6], name=name))
     shafts = rrb.Spatial3DView(
         name="shafts",
         origin="/shafts",
@@ -75,7 +77,7 @@ def blueprint() -> Any:
             ("bursts: board - twin", scene.BURST_RESIDUAL),
         )
     ]
-    views = rrb.Vertical(shafts, path, states, rrb.Tabs(log, *bursts, active_tab=0), row_shares=[3, 4, 3, 3])
+    views = rrb.Vertical(shafts, path, states, rrb.Tabs(log, *bursts, active_tab=0), row_shares=[3, 3, 4, 3])
     return rrb.Blueprint(
         rrb.Horizontal(*columns, views, column_shares=[3, 3, 2]),
         rrb.TimePanel(state="collapsed", timeline=scene.TIMELINE, play_state="following"),

@@ -28,6 +28,7 @@ _WIDTHS: Final = {scene.BOARD: 3.5, scene.SET_POINT: 2.0, scene.TWIN: 1.0}
 # Radii in the path view, from bottom to top [pixel].
 _RADII: Final = {scene.SET_POINT: 2.5, scene.BOARD: 0.8}
 _DIAL: Final = 0.10  # radius of the dial behind the pointers [m]
+_LABEL: Final = (255, 255, 255)  # text of the names of the shafts, on the grey of the viewer
 
 
 class RecordingError(ValueError):
@@ -110,7 +111,8 @@ class Recording:
                     aggregation_policy="MinMax",
                 )
                 log(scene.residual_entity(axis, field), style)
-            log(scene.state_entity(name), self._states())
+            for state in (name, scene.home_state(name)):
+                log(scene.state_entity(state), self._states())
         for order, (source, radius) in enumerate(_RADII.items()):
             style = rr.LineStrips2D.from_fields(
                 colors=[scene.COLOURS[source]], radii=rr.Radius.ui_points(radius), draw_order=order
@@ -145,7 +147,7 @@ class Recording:
                 ),
             )
             log(f"{entity_root}/marks", rr.LineStrips3D(marks, radii=0.0012, colors=[(200, 203, 210)]))
-            label = rr.Points3D([[0, -1.18 * _DIAL, 0]], radii=0.0, labels=[name], show_labels=True)
+            label = rr.Points3D([[0, -1.18 * _DIAL, 0]], radii=0.0, labels=[name], show_labels=True, colors=[_LABEL])
             log(f"{entity_root}/name", label)
             for source, (length, height, radius) in hands.items():
                 entity = scene.shaft_entity(axis, source)

@@ -20,6 +20,7 @@ __all__ = [
     "ESTIMATE",
     "ESTIMATES",
     "EXTRAS",
+    "HOME_STATES",
     "PATH_STATES",
     "QUANTITIES",
     "RESIDUAL",
@@ -33,8 +34,8 @@ __all__ = [
     "axes",
     "burst_entity",
     "estimate_entity",
+    "home_state",
     "path_entity",
-    "position_state",
     "residual_entity",
     "series_entity",
     "shaft_entity",
@@ -65,10 +66,10 @@ STATE_COLOURS: Final[dict[str, Colour]] = {
     "RUN/FREEWHEEL": (120, 150, 120),
     "RUN/STARTUP": (170, 120, 190),
     "DISCONNECTED": (60, 60, 60),
-    "UNKNOWN": (95, 105, 120),
-    "ASSUMED": (190, 160, 50),
+    "NOT HOMED": (95, 105, 120),
+    "HOME ASSUMED": (190, 160, 50),
     "HOMING": (200, 130, 40),
-    "KNOWN": (50, 160, 80),
+    "HOMED": (50, 160, 80),
     "CONNECTED": (50, 160, 80),
     "HEALTHY": (50, 160, 80),
     "NOT HEALTHY": (200, 130, 40),
@@ -77,7 +78,10 @@ STATE_COLOURS: Final[dict[str, Colour]] = {
     "NO PATH": (95, 105, 120),
     "ON PATH": (50, 160, 80),
 }
-"""States of the axes and of the validity of their positions, of link, twin, diagnosis and path."""
+"""States of the axes and of their homing, of link, twin, diagnosis and path."""
+
+HOME_STATES: Final = {"UNKNOWN": "NOT HOMED", "ASSUMED": "HOME ASSUMED", "HOMING": "HOMING", "KNOWN": "HOMED"}
+"""States of the homing by the names of ``home_state_t``. The position is valid in each; the zero may not be."""
 
 PATH_STATES: Final = ("NO PATH", "ON PATH")
 """States of the path."""
@@ -149,9 +153,9 @@ def estimate_entity(source: str, name: str, curve: str) -> str:
     return f"/{PLOT}/{source}/estimate/{name}/{curve}"
 
 
-def position_state(axis: str) -> str:
-    """Name of the state with the validity of the position of an axis."""
-    return f"{axis}/position"
+def home_state(axis: str) -> str:
+    """Name of the state with the homing of an axis."""
+    return f"{axis}/home"
 
 
 def state_entity(name: str) -> str:

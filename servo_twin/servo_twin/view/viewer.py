@@ -32,8 +32,7 @@ _Table = NDArray[np.float64]
 _NS: Final = 1_000_000_000
 _TOLERANCE: Final = 1e-6  # of equal times [s]
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
-_HOME_STATES: Final = Catalogue.load().enums["home_state_t"]
-_NORMAL: Final = ("CONNECTED", "HEALTHY", *scene.PATH_STATES, *_HOME_STATES)  # states without a warning
+_NORMAL: Final = ("CONNECTED", "HEALTHY", *scene.PATH_STATES, *scene.HOME_STATES.values())  # states without a warning
 _LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of the diagnostic levels OK, WARN, ERROR, STALE
 
 
@@ -353,10 +352,10 @@ class Viewer:
                 self._log(name, moment, "INFO", f"{flag.name} cleared")
 
     def _home_states(self, name: str, times: NDArray[np.float64], words: NDArray[np.int_]) -> None:
-        """Write the changes of the validity of an axis position."""
+        """Write the changes of the homing of an axis."""
         for row in (0, *(np.flatnonzero(np.diff(words)) + 1).tolist()):
-            label = self._catalogue.label("home_state_t", int(words[row]))
-            self._state(float(times[row]), scene.position_state(name), label)
+            label = scene.HOME_STATES[self._catalogue.label("home_state_t", int(words[row]))]
+            self._state(float(times[row]), scene.home_state(name), label)
 
     def _board_state(self, stamp_ns: int, text: str) -> None:
         moment = self._time.of_stamp(stamp_ns)
