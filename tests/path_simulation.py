@@ -75,15 +75,16 @@ class PathSimulation:
         self.arbiter.set_torque_constants(constants)
         self.follower.torque_constants = constants
         currents = [numbers(board.read(f"{axis_name(axis)}.acceleration_current"))[0] for axis in range(AXES)]
-        self.limits = path_limits(
-            CATALOGUE,
-            {v.name: board.read_raw(v.name) for v in parameters(CATALOGUE)},
-            joints,
-            [Motor(k, k * current) for k, current in zip(constants, currents, strict=True)],
-        )
+        self._motors = [Motor(k, k * current) for k, current in zip(constants, currents, strict=True)]
+        self.read_limits()
         self.arbiter.release()
         self.dispatcher.open()
         self.run(0.05)
+
+    def read_limits(self) -> None:
+        """Read the limits of the board."""
+        raw = {v.name: self.board.read_raw(v.name) for v in parameters(CATALOGUE)}
+        self.limits = path_limits(CATALOGUE, raw, self.arbiter.joints, self._motors)
 
     def _check(self, path: Path) -> None:
         require(path, [self.limits[JOINTS.index(joint)] for joint in path.joints])

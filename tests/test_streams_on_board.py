@@ -8,11 +8,13 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from path_simulation import COUNT, JOINTS, PathSimulation
+from path_simulation import CATALOGUE, COUNT, JOINTS, PathSimulation
 from servo_bridge.set_points import JointSetPoint, Mode, SetPointRequest
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.shapes import lissajous
+from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.streamer import Streamer
+from servo_bridge.trajectory.waypoints import Waypoints
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_twin.board import Board
 from servo_twin.level import Level
@@ -217,3 +219,69 @@ def test_stream_at_the_acceleration_limit_is_accepted() -> None:
         assert abs(table["axis1.position_ref"][-1] * COUNT - 30.0) < 0.02
         assert abs(table["axis2.position_ref"][-1] * COUNT + 30.0) < 0.02
         assert 150.0 < np.abs(accelerations(sim, "axis1", begin)).max() <= 200.0 + ROUNDING
+
+
+def limited(board: Board, *, position_max: float) -> None:
+    """Switch the soft limits of the board on [rad]."""
+    mask = CATALOGUE.flag("features", "POSITION_LIMITS").mask
+    board.write_raw("param.features", [raw | mask for raw in board.read_raw("param.features")])
+    board.write("param.position_max", [position_max] * 2)
+    board.run(0.01)
+
+
+@pytest.mark.parametrize("speed", [4.0, 6.0, 60.0])
+def test_stream_keeps_a_soft_limit_when_its_messages_end(speed: float) -> None:
+    with Board(seed=4) as board:
+        limited(board, position_max=12.0)
+        sim = PathSimulation(board)
+        rise = min(1.0, 8.0 / speed)
+
+        def point(t: float) -> Mapping[int, JointSetPoint]:
+            if t < rise:
+                return {0: JointSetPoint(0.5 * speed * t * t / rise, speed * t / rise)}
+            return {0: JointSetPoint(speed * (t - 0.5 * rise), speed)}
+
+        sim.send(0.5 * rise + 11.9 / speed, point)
+        sim.run(1.0)
+        table = sim.table()
+        assert sim.errors == []
+        assert not table["axis1.faults"].any()
+        assert 11.0 < table["axis1.position_ref"].max() * COUNT <= 12.0
+        assert table["axis1.position"].max() * COUNT <= 12.0 + 0.02
+        assert np.ptp(table["axis1.position_ref"][-10:]) == 0
+
+
+@pytest.mark.parametrize("interface", ["stream", "path"])
+def test_joint_outside_of_its_soft_limit_returns_and_moves_no_further(interface: str) -> None:
+    with Board(seed=4) as board:
+        sim = PathSimulation(board)
+        sim.arbiter.submit(SetPointRequest("test", Mode.POSITION, {0: 3.0}))
+        sim.dispatcher.pump()
+        sim.run(0.5)
+        limited(board, position_max=2.0)
+        sim.read_limits()
+        sim.run(0.1)
+
+        def path_to(target: float) -> None:
+            sim.follow(lambda running, now: from_running(running, now, target), ["axis1"])
+            sim.run(1.5)
+
+        def stream_to(target: float) -> None:
+            at = sim.table()["axis1.position_ref"][-1] * COUNT
+            sim.send(1.0, lambda t: {0: JointSetPoint(at + (target - at) * t, target - at)})
+            sim.send(0.5, lambda t: {0: JointSetPoint(target, 0.0)})
+
+        go = path_to if interface == "path" else stream_to
+        go(3.3)
+        assert sim.table()["axis1.position_ref"].max() * COUNT <= 3.0 + 2.0 * COUNT
+        assert bool(sim.refusals) is (interface == "path")
+        for target in (2.5, 1.0):
+            go(target)
+            assert sim.table()["axis1.position_ref"][-1] * COUNT == pytest.approx(target, abs=0.01)
+        assert sim.errors == []
+
+
+def from_running(running: Path, now: float, target: float) -> Path:
+    """Path of 1 s of the first joint, from its state at a time to a position at rest."""
+    mine = running.select(["axis1"])
+    return path_through(Waypoints.of(["axis1"], [now + 1.0], [[target]]), mine.state(now), now)

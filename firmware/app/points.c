@@ -90,8 +90,9 @@ static point_refusal_t check_segment(const axis_t *axis, const hermite_t *segmen
     }
     hermite_reach(segment, &min, &max);
     const axis_limits_t limits = limits_at_switches(axis, axis->written_limits);
-    const bool below = from + min < path_counts(limits.position_min);
-    const bool above = from + max > path_counts(limits.position_max);
+    /* from outside of the limits a segment may lead towards them */
+    const bool below = min < 0 && from + min < path_counts(limits.position_min);
+    const bool above = max > 0 && from + max > path_counts(limits.position_max);
     const bool given = limits.position_min != INT32_MIN || limits.position_max != INT32_MAX;
     return (given && (below || above)) ? POINT_REFUSAL_POSITION : POINT_REFUSAL_NONE;
 }

@@ -105,7 +105,7 @@ class JointCommands:
                 axis: context.arbiter.place(_SOURCE, axis, streaming=self._streamer.streams(axis)) for axis in points
             }
             points = {axis: self._unwrapped(axis, point, places[axis]) for axis, point in points.items()}
-            self._check(points)
+            self._check(points, places)
         except Rejected:
             self._admission.observe(points, stamp)
             raise
@@ -118,7 +118,7 @@ class JointCommands:
             self._submit(admitted.points, stamp, arrival)
         return next(iter(admitted.refused), None)
 
-    def _check(self, points: Mapping[int, JointSetPoint]) -> None:
+    def _check(self, points: Mapping[int, JointSetPoint], places: Mapping[int, Place]) -> None:
         """Check the values of set-points.
 
         Raises
@@ -135,7 +135,7 @@ class JointCommands:
         if limits is None:
             raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in 1 s")
         for axis, point in streamed.items():
-            require_within(_SOURCE, context.joints[axis], point, limits[axis])
+            require_within(_SOURCE, context.joints[axis], point, limits[axis], places[axis].position)
 
     def _submit(self, points: Mapping[int, JointSetPoint], stamp: float = 0.0, arrival: float | None = None) -> None:
         """Execute admitted set-points; `stamp` and `arrival` of a path [s of board time]."""

@@ -126,3 +126,18 @@ def test_ranges_of_polynomials(numbers: list[float]) -> None:
     assert exact.max() == pytest.approx(values.max(), abs=2e-4)
     assert exact.max() >= values.max() - 1e-9
     assert exact.min() <= values.min() + 1e-9
+
+
+def test_a_path_from_outside_of_the_position_limits_may_return_but_not_leave_again() -> None:
+    limits = [Limits(position_max=1.0)]
+
+    def through(*positions: float) -> Path:
+        rows = [[x] for x in positions]
+        return path_through(Waypoints.of(["axis1"], range(len(rows)), rows, [[0.0]] * len(rows)))
+
+    require(through(3.0, 2.0, 0.0), limits)
+    require(Path.hold(["axis1"], [3.0]), limits)
+    for positions in ((3.0, 3.1, 0.0), (3.0, 0.0, 1.5), (3.0, 2.0, 2.5)):
+        with pytest.raises(TrajectoryError, match="position of axis1 is above its limit"):
+            require(through(*positions), limits)
+    assert first_violation(through(3.0, 2.0, 0.0), limits) is not None

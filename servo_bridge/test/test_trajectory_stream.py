@@ -262,3 +262,79 @@ def test_effort_is_copied_to_points() -> None:
         points = stream.points(5.0 + 0.01 * k + LEAD)
         efforts += [] if points is None else points.efforts.tolist()
     np.testing.assert_allclose(np.diff(efforts[20:90]), 0.01, atol=1e-4)
+
+
+# ---- limits and rejoining
+def fetched(stream: Stream, messages: list[tuple[float, float, float]], until: float) -> tuple[Array, Array]:
+    """Positions and velocities of the points of a stream; messages are time, position and velocity."""
+    rows: list[Array] = []
+    waiting = list(messages)
+    for now in np.arange(0.0, until, 0.005):
+        while waiting and waiting[0][0] <= now:
+            time, position, velocity = waiting.pop(0)
+            stream.take(time, now, position, velocity)
+        points = stream.points(now + LEAD)
+        rows += [] if points is None else [np.stack((points.positions, points.velocities))]
+    positions, velocities = np.concatenate(rows, axis=1)
+    return positions, velocities
+
+
+@pytest.mark.parametrize("speed", [4.0, 6.0, 30.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_stream_brakes_in_time_before_a_position_limit(speed: float, side: float) -> None:
+    """The messages lead beyond the limit, and end at it; extrapolated, they would pass it."""
+    limit = 6.0
+    stream = Stream(Tracker(0.0, 0.0, LIMIT, position_min=-limit, position_max=limit), LEAD, 0)
+    times = np.arange(0.0, limit / speed, 0.01)
+    positions, velocities = fetched(stream, [(t, side * speed * t, side * speed) for t in times.tolist()], 4.0)
+    assert np.abs(positions).max() <= limit + 1e-9
+    assert np.abs(velocities).max() > min(0.9 * speed, 15.0)
+    assert velocities[-1] == 0.0
+    assert np.abs(np.diff(velocities)).max() <= LIMIT * 0.01 * (1.0 + 1e-6)
+    # The Hermite segments between the points keep the limit as well.
+    peaks = positions[:-1] + velocities[:-1] ** 2 / (2.0 * np.maximum(-side * np.diff(velocities) / 0.01, 1e-9)) * side
+    turned = (side * velocities[:-1] > 0.0) & (side * velocities[1:] < 0.0)
+    assert (side * peaks[turned] <= limit + 1e-9).all()
+
+
+@given(
+    st.floats(-3.0, 3.0), st.floats(-8.0, 8.0), st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=20),
+    st.sampled_from([0.01, 0.005]),
+)  # fmt: skip
+def test_the_tracker_never_leaves_its_position_limits(
+    position: float, velocity: float, targets: list[float], step: float
+) -> None:
+    tracker = Tracker(position, velocity, LIMIT, position_min=-4.0, position_max=4.0)
+    for target in targets:
+        for _ in range(10):
+            before = tracker.velocity
+            tracker.advance(target, 0.0, 0.0, step)
+            assert abs(tracker.velocity - before) <= LIMIT * step * (1.0 + 1e-9)
+            assert abs(tracker.position) <= 4.0 + 1e-9
+            turns = before * tracker.velocity < 0.0
+            acceleration = abs(tracker.velocity - before) / step
+            peak = abs(tracker.position) + (tracker.velocity**2 / (2.0 * acceleration) if turns else 0.0)
+            assert peak <= 4.0 + 1e-9
+
+
+@pytest.mark.parametrize("target", [0.0, 4.1, 9.0])
+def test_the_tracker_returns_from_outside_of_its_limits_and_moves_no_further(target: float) -> None:
+    tracker = Tracker(4.3, 0.0, LIMIT, position_min=-4.0, position_max=4.0)
+    last = 4.3
+    for _ in range(300):
+        tracker.advance(target, 0.0, 0.0, 0.01)
+        assert tracker.position <= last + 1e-12 or tracker.position <= 4.0 + 1e-9
+        last = max(tracker.position, 4.0)
+    assert tracker.position == pytest.approx(min(target, 4.3), abs=1e-6)
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.25, 0.5])
+def test_a_stream_that_lost_time_is_rejoined_within_its_own_speed(gap: float) -> None:
+    """Points were refused: the joint stands, and a new stream begins with the messages after the gap."""
+    speed, lost = 2.0, 2.0 * gap
+    stream = Stream(Tracker(0.0, 0.0, 4000.0, 300.0), LEAD, 0)
+    times = np.arange(0.0, 3.0, 0.01)
+    positions, velocities = fetched(stream, [(t, lost + speed * t, speed) for t in times.tolist()], 3.0)
+    assert np.abs(velocities).max() <= 1.5 * speed + 0.5 + 1e-9
+    assert np.abs(np.diff(velocities)).max() / 0.01 <= (1.5 * speed + 0.5) / 0.1 + 1e-6
+    assert positions[-1] == pytest.approx(lost + speed * 2.98, abs=0.021)

@@ -74,7 +74,7 @@ class Violation:
         )
 
 
-def first_violation(path: Path, limits: Sequence[Limits]) -> Violation | None:
+def first_violation(path: Path, limits: Sequence[Limits], *, returning: bool = False) -> Violation | None:
     """Find the first violation; None if all limits hold at all times.
 
     Parameters
@@ -83,25 +83,27 @@ def first_violation(path: Path, limits: Sequence[Limits]) -> Violation | None:
         Motion.
     limits : sequence of Limits
         Per joint of the path.
+    returning : bool
+        A piece that begins outside of the position limits may lead towards them, as on the board.
     """
-    found = [v for axis, limit in enumerate(limits) for v in _violations(path, axis, limit)]
+    found = [v for axis, limit in enumerate(limits) for v in _violations(path, axis, limit, returning)]
     return min(found, key=lambda violation: violation.time, default=None)
 
 
 def require(path: Path, limits: Sequence[Limits]) -> None:
-    """Refuse a path that exceeds a limit.
+    """Refuse a path that exceeds a limit; from outside of the position limits it may return.
 
     Raises
     ------
     TrajectoryError
         With the text of `first_violation`.
     """
-    violation = first_violation(path, limits)
+    violation = first_violation(path, limits, returning=True)
     if violation is not None:
         raise TrajectoryError(str(violation))
 
 
-def _violations(path: Path, axis: int, limits: Limits) -> Iterator[Violation]:
+def _violations(path: Path, axis: int, limits: Limits, returning: bool) -> Iterator[Violation]:
     """First violation of each quantity of one joint."""
     h = np.diff(path.times)[:, None]
     position = path.coefficients[:, axis] * h ** np.arange(DEGREE + 1)
@@ -118,8 +120,11 @@ def _violations(path: Path, axis: int, limits: Limits) -> Iterator[Violation]:
         ("torque", torque, -limits.torque_max, limits.torque_max, limits.coulomb),
     ):
         smallest, largest = enclosure(polynomials)
-        for k in np.flatnonzero((smallest - coulomb < low) | (largest + coulomb > high)):
-            hit = _in_piece(polynomials[k], velocity[k], coulomb, low, high)
+        lows, highs = np.full(len(h), low), np.full(len(h), high)
+        if returning and quantity == "position":
+            lows, highs = np.minimum(lows, position[:, 0]), np.maximum(highs, position[:, 0])
+        for k in np.flatnonzero((smallest - coulomb < lows) | (largest + coulomb > highs)):
+            hit = _in_piece(polynomials[k], velocity[k], coulomb, float(lows[k]), float(highs[k]))
             if hit is not None:
                 s, value, limit = hit
                 since = float(path.times[k] - path.start_time + s * h[k, 0])

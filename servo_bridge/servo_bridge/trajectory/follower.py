@@ -177,6 +177,7 @@ class Follower:
         self._work: Work = work or at_once
         self._line = line
         self._catalogue = catalogue
+        self.count = catalogue["axis1.position"].lsb  # of the motors [rad]
         self._joints = joint_names(joints)
         self._gears = list(joints)
         self._check = check

@@ -2,7 +2,8 @@
 
 The reference between two messages is a cubic Hermite piece; missing velocities are those of a Catmull-Rom spline.
 After the newest message it continues with constant velocity for a limited time, and then stops. A tracker of limited
-acceleration follows the reference: late, lost or wrong messages cause a lag, but no step.
+acceleration follows the reference: late, lost or wrong messages cause a lag, but no step. The lag is made up for within
+`CATCH_UP` times the velocity and the acceleration of the messages themselves, and the position limits are kept.
 """
 
 from __future__ import annotations
@@ -24,6 +25,19 @@ _HISTORY = 64
 
 _STOP_SHARE = 0.5
 """Fraction of the acceleration limit with which a reference without messages stops."""
+
+CATCH_UP = 1.5
+"""Velocity and acceleration of the joint relative to those of the messages in the last second, when it makes up for a
+lag."""
+
+_CATCH_UP_SPEED = 0.5
+"""Additional velocity for this [rad/s]."""
+
+_CATCH_UP_TIME = 0.1
+"""Time in which this velocity is reached, if the acceleration of the messages is smaller [s]."""
+
+_MEMORY = 1.0
+"""Time constant with which earlier velocities and accelerations of the messages are forgotten [s]."""
 
 _REST, _REST_SPEED = 1.0e-4, 1.0e-2
 """Distance to the stopped reference [rad] and velocity [rad/s] of the motor, below which it is brought to rest."""
@@ -66,6 +80,7 @@ class Stream:
         self._gear_ratio = gear_ratio
         self._tick = begin
         self._begins = self._ends = False
+        self._fastest = self._strongest = 0.0  # of the messages in the last second [rad/s], [rad/s^2]
         self._messages: list[tuple[float, float, float | None, float]] = []
         """Stamp, position, velocity and effort; in the order of stamps."""
         self._out: list[tuple[int, float, float, float]] = []  # tick, position, velocity, effort
@@ -95,6 +110,18 @@ class Stream:
         same = k < len(self._messages) and self._messages[k][0] == stamp
         self._messages[k : k + same] = [(stamp, position, velocity, effort)]
         del self._messages[:-_HISTORY]
+        self._remember(min(k, len(self._messages) - 1))
+
+    def _remember(self, k: int) -> None:
+        """Update the largest velocity and acceleration with a message."""
+        velocity, before = self._velocity(k), max(k - 1, 0)
+        elapsed = self._messages[k][0] - self._messages[before][0]
+        kept = math.exp(-elapsed / _MEMORY)
+        self._fastest = max(abs(velocity), kept * self._fastest)
+        if elapsed > PERIOD:
+            given = self._messages[k][2] is not None and self._messages[before][2] is not None
+            change = abs(velocity - self._velocity(before)) / elapsed if given else math.inf
+            self._strongest = max(change, kept * self._strongest)
 
     def points(self, until: float) -> TimedPoints | None:
         """Fetch the new points up to a time [s]; None if there are none."""
@@ -122,7 +149,11 @@ class Stream:
         position, velocity, _, _ = self._reference(stamp)
         _, ahead, effort, self._ends = self._reference(stamp + rate * h)
         rest, may_rest = tracker.stopped(h)
-        tracker.advance(position, rate * velocity, rate * (ahead - velocity) / h, h)
+        fastest = CATCH_UP * self._fastest + _CATCH_UP_SPEED if self._fastest else math.inf
+        strongest = max(CATCH_UP * self._strongest, fastest / _CATCH_UP_TIME)
+        tracker.advance(
+            position, rate * velocity, rate * (ahead - velocity) / h, h, fastest=fastest, strongest=strongest
+        )
         speed = max(map(abs, (tracker.velocity, velocity, ahead)))
         distance = abs(rest - position)
         near = max(distance / _REST, speed / _REST_SPEED) * self._gear_ratio < 1.0

@@ -13,6 +13,7 @@ from typing import Final
 
 from servo_msgs_py.joints import Joint, joint_names
 
+from servo_bridge.admission import JOIN_DISTANCE
 from servo_bridge.set_points import JointSetPoint
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import POINTS_REFUSED, TrajectoryError
@@ -100,6 +101,8 @@ class Streamer:
     ) -> None:
         self._joints = joint_names(joints)
         self._gear_ratios = [joint.gear_ratio for joint in joints]
+        self._margins = [follower.count / joint.gear_ratio for joint in joints]
+        """Distance of a stream from the position limits, for the rounding of points [rad]."""
         self._follower = follower
         self._lead = self._lead_min = lead
         self._delay_max = delay_max
@@ -214,8 +217,16 @@ class Streamer:
     def _begin(self, axis: int, position: float, velocity: float, begin: int) -> None:
         """Create the stream of a joint; repeated if the path is planned again for a later begin."""
         mine = self._streams[axis]
+        limits, margin = mine.limits, self._margins[axis]
         mine.stream = Stream(
-            Tracker(position, velocity, mine.limits.acceleration_max, mine.limits.velocity_max),
+            Tracker(
+                position,
+                velocity,
+                limits.acceleration_max,
+                limits.velocity_max,
+                limits.position_min + margin,
+                limits.position_max - margin,
+            ),
             self._lead,
             begin,
             delay_max=self._delay_max,
@@ -237,16 +248,32 @@ def _feed(stream: Stream, stamp: float, arrival: float, point: JointSetPoint) ->
     stream.take(stamp, arrival, point.position, point.velocity, point.effort or 0.0)
 
 
-def require_within(source: str, joint: str, point: JointSetPoint, limits: Limits) -> None:
-    """Check a streamed set-point.
+def require_within(source: str, joint: str, point: JointSetPoint, limits: Limits, position: float) -> None:
+    """Check a streamed set-point; a joint outside of its position limits may return.
+
+    Parameters
+    ----------
+    source, joint : str
+        Names for messages.
+    point : JointSetPoint
+        To be checked.
+    limits : Limits
+        Of the joint.
+    position : float
+        Of the joint [rad].
 
     Raises
     ------
     TrajectoryError
         If a value exceeds its limit.
     """
+    lowest, highest = limits.position_min, limits.position_max
+    outside = not lowest <= position <= highest
+    lowest = min(lowest, position - JOIN_DISTANCE) if position < lowest else lowest
+    highest = max(highest, position + JOIN_DISTANCE) if position > highest else highest
+    returns = f"; the joint is at {position:g} rad, outside of its limits, and can only return" if outside else ""
     rows = (
-        ("position", "rad", point.position, limits.position_min, limits.position_max),
+        ("position", "rad", point.position, lowest, highest),
         ("velocity", "rad/s", point.velocity, -limits.velocity_max, limits.velocity_max),
         ("effort", "N m", point.effort, -limits.torque_max, limits.torque_max),
     )
@@ -254,5 +281,5 @@ def require_within(source: str, joint: str, point: JointSetPoint, limits: Limits
         if value is not None and not low <= value <= high:
             raise TrajectoryError(
                 f"{source}: {name} of {joint} is {value:g} {unit}, outside {low:g} .. {high:g} {unit}; send a value "
-                "within this range, or change the limits in the parameters of bridge and board"
+                f"within this range, or change the limits in the parameters of bridge and board{returns}"
             )

@@ -1,4 +1,4 @@
-"""Tracks a reference with limited acceleration and velocity, in steps of constant acceleration."""
+"""Tracks a reference with limited acceleration, velocity and position, in steps of constant acceleration."""
 
 from __future__ import annotations
 
@@ -20,8 +20,19 @@ class Tracker:
     velocity: float  # [rad/s]
     acceleration_max: float  # limit [rad/s^2]
     velocity_max: float = math.inf  # limit [rad/s]; a faster start is decelerated
+    position_min: float = -math.inf  # limit [rad]; from outside it moves towards the limits only
+    position_max: float = math.inf  # limit [rad]
 
-    def advance(self, position: float, velocity: float, acceleration: float, step: float) -> None:
+    def advance(
+        self,
+        position: float,
+        velocity: float,
+        acceleration: float,
+        step: float,
+        *,
+        fastest: float = math.inf,
+        strongest: float = math.inf,
+    ) -> None:
         """Advance by one step.
 
         Parameters
@@ -30,15 +41,32 @@ class Tracker:
             Reference at the begin of the step, [rad], [rad/s] and [rad/s^2].
         step : float
             Duration [s].
+        fastest : float
+            Largest velocity [rad/s].
+        strongest : float
+            Largest acceleration of the correction of an error, beside that of the reference [rad/s^2].
         """
         forward = min(max(acceleration, -self.acceleration_max), self.acceleration_max)
         authority = max(self.acceleration_max - abs(forward), _RESERVE * self.acceleration_max)
+        authority, velocity_max = min(authority, strongest), min(self.velocity_max, fastest)
         behind, slower = self.position - position, self.velocity - velocity
         u = forward + _time_optimal(behind, slower, authority, _SMOOTHING * step)
-        u = min(max(u, (-self.velocity_max - self.velocity) / step), (self.velocity_max - self.velocity) / step)
+        u = min(max(u, (-velocity_max - self.velocity) / step), (velocity_max - self.velocity) / step)
+        u = self._below(u, self.position_max - self.position, self.velocity, step)
+        u = -self._below(-u, self.position - self.position_min, -self.velocity, step)
         u = min(max(u, -self.acceleration_max), self.acceleration_max)
         self.position += step * (self.velocity + 0.5 * step * u)
         self.velocity += step * u
+
+    def _below(self, u: float, distance: float, velocity: float, h: float) -> float:
+        """Largest acceleration up to `u` after which the joint can still stop within a distance to a limit."""
+        if math.isinf(distance):
+            return u
+        # A stop from the velocity w in whole steps takes at most w^2 / (2 a) + h w / 2; after this step:
+        # h (v + w) / 2 + w^2 / (2 a) + h w / 2 = distance.
+        a, room = self.acceleration_max, max(distance - 0.5 * h * velocity, 0.0)
+        w = a * (math.sqrt(h * h + 2.0 * room / a) - h)
+        return min(u, (w - velocity) / h)
 
     def stopped(self, step: float) -> tuple[float, bool]:
         """Final position of a constant deceleration to rest within one step [rad], and whether it is within the limit.
