@@ -80,6 +80,14 @@ def until_written(rig: Rig, name: str) -> list[tuple[int, int]]:
     return [(first, len(raw)) for first, raw in written(rig, name)]
 
 
+def put(rig: Rig, *positions: float) -> None:
+    """Put the shafts of the fake board at positions [rad]."""
+    lsb = CATALOGUE["axis1.position"].lsb
+    for axis, position in enumerate(positions, 1):
+        for name in ("position", "position_ref"):
+            rig.link.values[f"axis{axis}.{name}"] = round(position / lsb)
+
+
 def stream(rig: Rig, joints: tuple[bool, bool] = (True, True)) -> None:
     """Stream a ramp until moving points have reached the link."""
     begin = time.monotonic()
@@ -87,6 +95,8 @@ def stream(rig: Rig, joints: tuple[bool, bool] = (True, True)) -> None:
     def arrived() -> bool:
         t = time.monotonic() - begin
         values = [(2.0 * t, 2.0) if joint else (NAN, NAN) for joint in joints]
+        last = {point.axis: point.position for point in points(rig)}
+        put(rig, *(last.get(axis, 0.0) for axis in (0, 1)))  # the shafts follow
         send(rig, [p for p, _ in values], [v for _, v in values], stamp=5000.0 + t)
         sent = points(rig)
         fastest = {point.axis: point.velocity for point in sorted(sent, key=lambda point: point.velocity)}
@@ -159,21 +169,13 @@ def test_set_points_repeated_from_before_enable_are_refused_until_they_change(ri
     assert until_written(rig, "cmd.position") == [(1, 1)]
 
 
-def place(rig: Rig, *positions: float) -> None:
-    """Put the shafts of the fake board at positions [rad], and deliver a sample."""
-    lsb = CATALOGUE["axis1.position"].lsb
-    for axis, position in enumerate(positions, 1):
-        for name in ("position", "position_ref"):
-            rig.link.values[f"axis{axis}.{name}"] = round(position / lsb)
-    sample(rig)
-    rig.executor.spin_once(timeout_sec=0.0)
-
-
 @pytest.mark.parametrize("velocity", [None, [0.0, 0.0]])
 def test_controllers_that_repeat_old_positions_move_nothing_and_are_logged_once(
     ready: Rig, velocity: list[float] | None
 ) -> None:
-    place(ready, 5.0, -3.0)
+    put(ready, 5.0, -3.0)
+    sample(ready)
+    ready.executor.spin_once(timeout_sec=0.0)
     for _ in range(60):
         send(ready, [0.0, 0.0], velocity)
     assert ready.link.written == []
