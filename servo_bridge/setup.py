@@ -42,7 +42,7 @@ setup(
     entry_points={
         "console_scripts": [
             "servo_bridge = servo_bridge.programs:bridge",
-            "servo-tool = servo_bridge.tool:main",
+            "servo-tool = servo_bridge.programs:tool",
             "servo-command = servo_bridge.programs:command",
             "servo-demo = servo_bridge.programs:demo",
         ],

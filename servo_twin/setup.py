@@ -51,9 +51,9 @@ setup(
         "console_scripts": [
             "servo_twin = servo_twin.programs:twin",
             "servo_viewer = servo_twin.programs:viewer",
-            "virtual_board = servo_twin.virtual_board:main",
-            "servo-sim = servo_twin.cli:main",
-            "servo-up = servo_twin.up:main",
+            "virtual_board = servo_twin.programs:board",
+            "servo-sim = servo_twin.programs:sim",
+            "servo-up = servo_twin.programs:up",
         ],
     },
 )

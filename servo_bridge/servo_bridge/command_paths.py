@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
@@ -23,11 +21,8 @@ from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.shapes import move, sine
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory_limits import path_limits
-from servo_msgs_py import argument
 
-PATH_VERBS: Final = ("move", "follow", "sine")
 _SAMPLES: Final = 4000  # of a path, to find its largest speed and acceleration
-_STEADY: Final = 0.3  # settling time after the end [s]
 
 
 class PathUser(Protocol):
@@ -44,40 +39,6 @@ class PathUser(Protocol):
 
     def parameters(self) -> RawParameters:
         """Raw parameters of the board."""
-
-    def send_path(self, message: JointTrajectory) -> None:
-        """Publish a trajectory and wait until the bridge follows it."""
-
-    def path_starts(self) -> int:
-        """How often the last trajectory has begun: again if its first points came too late."""
-
-    def path_refusal(self) -> str:
-        """Reason if the board has refused a part of the last trajectory; else empty."""
-
-    def spin_for(self, seconds: float) -> None:
-        """Wait for a time [s]."""
-
-
-def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], target: Callable[[str], object]) -> None:
-    """Add the path commands to the parser."""
-    mover = verbs.add_parser("move", help="move to positions [rad] in a given time, or as fast as the limits allow")
-    mover.add_argument("targets", nargs="+", type=target, metavar="JOINT=VALUE")
-    mover.add_argument("--time", type=argument.positive, metavar="S", help="default: the shortest within the limits")
-    follower = verbs.add_parser(
-        "follow", help="follow a path from a .csv (time, joints, <joint>_velocity) or .json file"
-    )
-    follower.add_argument("file", metavar="FILE")
-    waver = verbs.add_parser("sine", help="follow a sine about the present position, with fade-in and fade-out")
-    waver.add_argument("joint", metavar="JOINT")
-    waver.add_argument("--amplitude", type=argument.positive, required=True, metavar="RAD")
-    waver.add_argument("--frequency", type=argument.positive, required=True, metavar="HZ")
-    waver.add_argument("--for", dest="duration", type=argument.positive, default=5.0, metavar="S", help="default: 5")
-    for parser in (mover, follower, waver):
-        parser.add_argument(
-            "--dry-run",
-            action="store_true",
-            help="only print speed, acceleration and current of the path, with the limits",
-        )
 
 
 def path_message(path: Path) -> JointTrajectory:
@@ -98,15 +59,22 @@ def path_message(path: Path) -> JointTrajectory:
     return JointTrajectory(joint_names=list(path.joints), points=points)
 
 
-def run_path(user: PathUser, args: argparse.Namespace) -> str:
+def run_path(user: PathUser, args: argparse.Namespace, follow: Callable[[JointTrajectory, float], str]) -> str:
     """Plan and follow a path; returns the text to print.
+
+    Parameters
+    ----------
+    user : PathUser
+        Client of the servo.
+    args : argparse.Namespace
+        Arguments of one of the path commands.
+    follow : callable
+        Follows a trajectory of a duration [s] to its end; returns the text to print.
 
     Raises
     ------
-    KeyboardInterrupt
-        If interrupted; the joints have been stopped and hold.
     TrajectoryError
-        If the path is invalid or exceeds the limits (nothing has moved then), or the board refuses a part of it.
+        If the path is invalid or exceeds the limits; nothing has moved then.
     """
     positions = user.positions()
     joints, motors, raw = user.joints(), user.motors(), user.parameters()
@@ -117,21 +85,8 @@ def run_path(user: PathUser, args: argparse.Namespace) -> str:
     report = _report(path, limits, _currents(joints, motors, raw))
     if args.dry_run:
         return report
-    print(report)
-    try:
-        user.send_path(path_message(path))
-        _wait(user, path.duration)
-    except KeyboardInterrupt:
-        user.send_path(JointTrajectory(joint_names=list(path.joints)))
-        user.spin_for(_STEADY)
-        print(f"stopped: {_positions(user, path)}", file=sys.stderr)
-        raise
-    return f"done: {_positions(user, path)}"
-
-
-def _positions(user: PathUser, path: Path) -> str:
-    reached = user.positions()
-    return ", ".join(f"{joint} at {reached[joint]:.4f} rad" for joint in path.joints)
+    print(report, flush=True)
+    return follow(path_message(path), path.duration)
 
 
 def _currents(joints: Sequence[Joint], motors: Sequence[Motor], raw: RawParameters) -> dict[str, tuple[float, float]]:
@@ -181,18 +136,3 @@ def _report(path: Path, limits: dict[str, Limits], currents: dict[str, tuple[flo
             f"{current_max:.3g} A"
         )
     return "\n".join(lines)
-
-
-def _wait(user: PathUser, duration: float) -> None:
-    begin, starts = time.monotonic(), user.path_starts()
-    while (passed := time.monotonic() - begin) < duration + _STEADY:
-        user.spin_for(min(0.1, duration + _STEADY - passed))
-        if refusal := user.path_refusal():
-            raise TrajectoryError(f"{refusal}; the joints have stopped; send the path again")
-        if user.path_starts() > starts:
-            begin, starts = time.monotonic(), user.path_starts()
-        if sys.stderr.isatty():
-            done = min(passed / duration, 1.0)
-            print(f"\r{100.0 * done:3.0f} %", end="", file=sys.stderr, flush=True)
-    if sys.stderr.isatty():
-        print("\r     \r", end="", file=sys.stderr, flush=True)

@@ -10,24 +10,21 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import signal
 import sys
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import rclpy
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args, try_shutdown
+from rclpy.utilities import remove_ros_args
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
+from servo_msgs_py.runtime.program import complain, program
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
+from servo_bridge.client import ros_session
 from servo_bridge.demo_client import DemoError, ServoClient
 from servo_bridge.demo_report import PathRow, Residual, Row, passed, path_table, report, table
 from servo_bridge.move_metrics import measure_move, rms
@@ -153,7 +150,9 @@ class Demo:
         """Disable both axes and wait until they are off."""
         self._client.enable(False)
         off = self._client.wait_for(lambda: "RUN" not in self._client.state, 10.0)
-        self._info(f"disabled: {self._client.state}" if off else f"not off yet: {self._client.state}")
+        if not off:
+            raise DemoError(f"the outputs are not off 10 s after disable: {self._client.state}")
+        self._info(f"disabled: {self._client.state}")
 
     # ---- moves
     def _move(self, title: str, turns: Mapping[int, float], first: Mapping[int, float] | None = None) -> None:
@@ -438,36 +437,24 @@ def _shortcoming(demo: Demo) -> str:
     return "the twin sent no data"
 
 
+@program("servo-demo")
 def main(args: Sequence[str] | None = None) -> int:
     """Run the program.
 
     Returns
     -------
     int
-        0: both axes reached their targets; 1: not; 2: no servo; 130: Ctrl-C.
+        0: both axes reached their targets; 1: not; 2: no servo; else `program`.
     """
     argv = list(sys.argv if args is None else ["servo-demo", *args])
     arguments = _arguments(remove_ros_args(argv)[1:])
-    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    # SIGTERM disables the axes as Ctrl-C does. An exception raised in a signal handler would not pass through the C++
-    # executor unchanged.
-    interrupted = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: interrupted.set())
-    client: ServoClient | None = None
     try:
-        client = ServoClient(EventsExecutor(), arguments.servo, arguments.twin, interrupted)
-        return _perform(client, arguments)
-    except DemoError as error:
-        print(f"servo-demo: {error}", file=sys.stderr)
+        # A signal disables the axes before the end.
+        with ros_session(argv) as session, ServoClient(session, arguments.servo, arguments.twin) as client:
+            return _perform(client, arguments)
+    except (DemoError, ExternalShutdownException, ROSInterruptException) as error:
+        complain(f"servo-demo: {error}")
         return 2
-    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
-        print("servo-demo: interrupted", file=sys.stderr)
-        return 130
-    finally:
-        if client is not None:
-            client.close()
-        try_shutdown()
 
 
 if __name__ == "__main__":

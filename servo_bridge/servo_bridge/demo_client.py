@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.executors import Executor
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table, to_stamp
 from servo_msgs_py.robot_description import joints_of
@@ -20,12 +17,12 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from servo_bridge.client import STEP, Client, Session
 from servo_bridge.command_paths import path_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
 _ANSWER: Final = 5.0  # timeout of a service [s of board time]
-_STEP: Final = 0.02  # longest period of the check of a condition [s]
 _SILENCE: Final = 10.0  # without telemetry after which every wait ends [s of this process]
 
 
@@ -33,22 +30,19 @@ class DemoError(RuntimeError):
     """The demonstration cannot continue; the text has the reason and a remedy."""
 
 
-class ServoClient(Node):
+class ServoClient(Client):
     """Sends commands to one servo and records its data.
 
     Parameters
     ----------
-    executor : Executor
-        Runs this node; spun by `wait_for` only.
+    session : Session
+        ROS of this program.
     servo, twin : str
         Namespaces of the bridge and of its twin.
     """
 
-    def __init__(self, executor: Executor, servo: str, twin: str, interrupted: threading.Event) -> None:
-        super().__init__("servo_demo")
-        self._runner = executor
-        self._interrupted = interrupted
-        self._servo = servo
+    def __init__(self, session: Session, servo: str, twin: str) -> None:
+        super().__init__("servo_demo", session, servo)
         self.joints: list[str] = []
         self.geared: list[str] | None = None  # joints with a gear ratio, direction or offset; None: not known
         self.state = ""
@@ -59,47 +53,40 @@ class ServoClient(Node):
         self._residual_topic = f"{twin}/{topics.RESIDUAL}"
         self.twin_state = ""
         deep = telemetry_qos(1000)
-        self._names = self.create_subscription(JointState, self._of(topics.JOINT_STATES), self._on_names, deep)
-        self.create_subscription(Float64MultiArray, self._of(topics.SNAPSHOT), self._on_snapshot, deep)
-        self.create_subscription(Float64MultiArray, self._of(topics.COMMANDS_APPLIED), self._on_applied, deep)
-        self.create_subscription(String, self._of(topics.STATE), self._on_state, latched_qos())
+        self._names = self.create_subscription(JointState, self.of(topics.JOINT_STATES), self._on_names, deep)
+        self.create_subscription(Float64MultiArray, self.of(topics.SNAPSHOT), self._on_snapshot, deep)
+        self.create_subscription(Float64MultiArray, self.of(topics.COMMANDS_APPLIED), self._on_applied, deep)
+        self.create_subscription(String, self.of(topics.STATE), self._on_state, latched_qos())
         self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
         self.create_subscription(String, f"{twin}/{topics.STATE}", self._on_twin_state, latched_qos())
-        self._description = self._of(topics.ROBOT_DESCRIPTION)
+        self._description = self.of(topics.ROBOT_DESCRIPTION)
         self.create_subscription(String, self._description, self._on_description, latched_qos())
-        self._commands = self.create_publisher(JointState, self._of(topics.JOINT_COMMANDS), command_qos())
-        self._paths = self.create_publisher(JointTrajectory, self._of(topics.JOINT_TRAJECTORY), command_qos())
+        self._commands = self.create_publisher(JointState, self.of(topics.JOINT_COMMANDS), command_qos())
+        self._paths = self.create_publisher(JointTrajectory, self.of(topics.JOINT_TRAJECTORY), command_qos())
         self._single: dict[str, Any] = {}
-        self._enable = self.create_client(SetBool, self._of(topics.ENABLE))
-        self._quick_stop = self.create_client(Trigger, self._of(topics.QUICK_STOP))
-        executor.add_node(self)
-
-    def _of(self, name: str) -> str:
-        return f"{self._servo}/{name}"
+        self._enable = self.create_client(SetBool, self.of(topics.ENABLE))
+        self._quick_stop = self.create_client(Trigger, self.of(topics.QUICK_STOP))
 
     # ---- waiting
     def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Spin the executor until the condition holds or the timeout; returns whether it holds.
+        """Wait until the condition holds or for the timeout; returns whether it holds.
 
-        The timeout counts board time [s]. Without telemetry it counts the turns of this loop, each for `_STEP` at most:
+        The timeout counts board time [s]. Without telemetry it counts the turns of this loop, each for `STEP` at most:
         on a slow computer, or one that stops its processes, both last longer than the clock says.
 
         Raises
         ------
-        KeyboardInterrupt
-            If `interrupted` is set. The event is cleared, so that the axes can be disabled.
+        Interrupted
+            After a signal; once, so that the axes can be disabled.
         """
         passed = silent = 0.0
         tick = self.tick if self._rows else None
         while not condition():
-            if self._interrupted.is_set():
-                self._interrupted.clear()
-                raise KeyboardInterrupt
             if passed >= timeout or silent >= (timeout if tick is None else max(timeout, _SILENCE)):
                 return False
             begin = time.monotonic()
-            self._runner.spin_once(timeout_sec=_STEP)
-            silent += min(time.monotonic() - begin, _STEP)
+            self.step()
+            silent += min(time.monotonic() - begin, STEP)
             before, tick = tick, self.tick if self._rows else None
             if tick != before:
                 silent = 0.0
@@ -138,10 +125,10 @@ class ServoClient(Node):
     def _call(self, client: Any, request: Any, name: str) -> None:
         future = client.call_async(request)
         if not self.wait_for(future.done, _ANSWER):
-            raise DemoError(f"the service {self._of(name)} does not respond; see the log of servo_bridge")
+            raise DemoError(f"the service {self.of(name)} does not respond; see the log of servo_bridge")
         response = future.result()
         if not response.success:
-            raise DemoError(f"the service {self._of(name)} refused: {response.message}")
+            raise DemoError(f"the service {self.of(name)} refused: {response.message}")
 
     def command(self, targets: Mapping[int, float]) -> None:
         """Publish positions [rad] by axis: one axis on its own topic, both in one JointState."""
@@ -157,11 +144,6 @@ class ServoClient(Node):
         message = path_message(path)
         message.header.stamp = to_stamp(start_ns)
         self._paths.publish(message)
-
-    def close(self) -> None:
-        """Destroy the node."""
-        self._runner.remove_node(self)
-        Node.destroy_node(self)
 
     # ---- recordings
     @property
@@ -206,7 +188,7 @@ class ServoClient(Node):
             return
         self.joints = list(message.name)
         for joint in self.joints:
-            topic = self._of(topics.joint_position_topic(joint))
+            topic = self.of(topics.joint_position_topic(joint))
             self._single[joint] = self.create_publisher(Float64, topic, command_qos())
 
     def _on_snapshot(self, message: Float64MultiArray) -> None:

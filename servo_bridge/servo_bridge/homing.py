@@ -19,9 +19,6 @@ from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_points import NotReady
 from servo_bridge.telemetry import Snapshot
 
-METHODS: Final = ("here", "stop_positive", "stop_negative", "switch_positive", "switch_negative")
-"""Methods to set the position of a joint; directions are those of the joint."""
-
 _EFFECT: Final = 4 * SLOW_PERIODS
 """PWM periods after which the effect of a command is in the telemetry."""
 
@@ -197,7 +194,7 @@ class Homing:
 
     # ---- services
     def home(self, axis: int, method: str) -> Future[Outcome]:
-        """Home an axis or set its position by one of `METHODS`; the future is done at the end."""
+        """Home an axis or set its position by one of `topics.HOME_METHODS`; the future is done at the end."""
         joint = self.joints[axis]
         if not self._connected:
             return answered(False, "not connected; see state and /diagnostics")

@@ -1,20 +1,25 @@
-"""Entry points of the programs that need ROS; this module does not import rclpy."""
+"""Entry points of the programs; this module imports little."""
 
 from __future__ import annotations
 
-from servo_msgs_py.runtime.ros_program import run_with_ros
+from servo_msgs_py.runtime.program import run
 
 
 def bridge() -> int:
     """``servo_bridge``."""
-    return run_with_ros("servo_bridge", "servo_bridge.node")
+    return run("servo_bridge", "servo_bridge.node", ros=True)
 
 
 def command() -> int:
     """``servo-command``."""
-    return run_with_ros("servo-command", "servo_bridge.command")
+    return run("servo-command", "servo_bridge.command", ros=True)
 
 
 def demo() -> int:
     """``servo-demo``."""
-    return run_with_ros("servo-demo", "servo_bridge.demo")
+    return run("servo-demo", "servo_bridge.demo", ros=True)
+
+
+def tool() -> int:
+    """``servo-tool``."""
+    return run("servo-tool", "servo_bridge.tool")

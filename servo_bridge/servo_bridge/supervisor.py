@@ -44,7 +44,7 @@ from servo_bridge.follow_action import FollowAction, action_interfaces
 from servo_bridge.freemaster.client import password_of_environment
 from servo_bridge.goals import Goals
 from servo_bridge.health import Health, Winding
-from servo_bridge.homing import METHODS, Homing, with_home_states
+from servo_bridge.homing import Homing, with_home_states
 from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
 from servo_bridge.motion_services import MotionServices
@@ -244,7 +244,7 @@ class Supervisor:
             DeferredService(node, SetBool, topics.ENABLE, lambda request: motion.enable(request.data)),
             DeferredService(node, Trigger, topics.QUICK_STOP, lambda _: motion.quick_stop()),
             DeferredService(node, Trigger, topics.CLEAR_FAULTS, lambda _: motion.clear_faults()),
-            *(self._offer_home(axis, method) for axis in range(AXES) for method in METHODS),
+            *(self._offer_home(axis, method) for axis in range(AXES) for method in topics.HOME_METHODS),
         ]
 
     def _offer_home(self, axis: int, method: str) -> DeferredService:

@@ -1,6 +1,7 @@
 """``servo-tool``: read and change a board from the command line. Needs no ROS.
 
-Exit status: 0 done; 1 the board refused or was not found (`diff`: or differs); 2 wrong arguments.
+Exit status: 0 done; 1 the board refused or was not found (`diff`: or differs), or a disk is full; 2 wrong arguments, or
+a file that cannot be read; of signals see `servo_msgs_py.runtime.program`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.figure import PictureError
+from servo_msgs_py.runtime.program import program
 
 from servo_bridge import (
     tool_bode,
@@ -92,7 +94,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="servo-tool",
         description="Read and change a servo board, or any FreeMASTER target (version 3 or 4), over its serial line. "
         "Values of servo boards are in SI units.",
-        epilog="exit status: 0 done, 1 the board refused or was not found (diff: or differs), 2 wrong arguments",
+        epilog="exit status: 0 done, 1 the board refused or was not found (diff: or differs), 2 wrong arguments or a "
+        "file that cannot be read",
         parents=[common],
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -233,6 +236,7 @@ def _run(args: argparse.Namespace) -> int:
         return 1
 
 
+@program("servo-tool")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     parser = _parser()
@@ -245,15 +249,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UnknownVariableError as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:
-        # The reader of the output has closed it; prevent an error of Python's flush at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        print(f"servo-tool: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ from servo_msgs_py.measurement.access import MeasurementError
 from servo_msgs_py.measurement.bode import Bode, measure
 from servo_msgs_py.measurement.bode_plan import LOOPS, BodeRequest
 from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, text
+from servo_msgs_py.runtime.program import complain, deferred
 
 from servo_bridge.bode_recording import write_recording
-from servo_bridge.interruptible import interruptible_access
+from servo_bridge.measurement_access import measurement_access
 from servo_bridge.tool_progress import ProgressLine
 from servo_msgs_py import argument
 
@@ -69,12 +70,12 @@ def bode(context: Context) -> int:
         _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
     )
     try:
-        with interruptible_access(context.session) as access, ProgressLine() as progress:
+        with deferred() as stop, measurement_access(context.session, stop.check) as access, ProgressLine() as progress:
             result = measure(
                 access,
                 request,
                 enable=args.enable,
-                report=lambda sentence: print(f"servo-tool: {sentence}", file=sys.stderr, flush=True),
+                report=lambda sentence: complain(f"servo-tool: {sentence}"),
                 progress=progress.bar,
             )
         print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))

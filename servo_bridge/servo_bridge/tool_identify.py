@@ -19,12 +19,13 @@ from servo_msgs_py.measurement.estimation import estimates_of
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import UNITS, Limits
+from servo_msgs_py.runtime.program import Interrupted, complain, deferred
 from servo_msgs_py.text_file import TextFileError, parse_toml, read_toml
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_bridge.freemaster.errors import FreemasterError
-from servo_bridge.interruptible import interruptible_access
+from servo_bridge.measurement_access import measurement_access
 from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import file_of, read_blocks
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
 _OUT: Final = Path("out/identify")
 _RECORDING: Final = "measurement.npz"
-_INTERRUPTED: Final = 130
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -63,32 +63,32 @@ def identify(context: Context) -> int:
     args = context.args
     try:
         limits = Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, args.r_on)
-        log, problem, interrupted = _measured(context, limits)
+        log, problem, signalled = _measured(context, limits)
     except (MeasurementError, ConfigError, ValueError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     path = args.out / _RECORDING
     log.save(path)
     print(f"wrote {path}", file=sys.stderr)
-    if interrupted or not log.recordings:
+    if signalled or not log.recordings:
         print(f"servo-tool: {problem}", file=sys.stderr)
-        return _INTERRUPTED if interrupted else 1
+        return signalled or 1
     if _twin_installed():
         return _evaluated(args, path)
     return _shown(log, problem)
 
 
-def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, bool]:
-    """Return the measurement, the reason if it is incomplete, and whether it was ended by Ctrl-C."""
+def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, int]:
+    """Return the measurement, the reason if it is incomplete, and the exit status of a signal, else 0."""
     base = _base(context)
-    problem, interrupted = "", False
-    with interruptible_access(context.session) as access:
-        test = MotorTest(access, context.args.axis - 1, limits, base, lambda text: print(text, file=sys.stderr))
+    problem, signalled = "", 0
+    with deferred() as stop, measurement_access(context.session, stop.check) as access:
+        test = MotorTest(access, context.args.axis - 1, limits, base, complain)
         begin = access.read("tick")[0]
         try:
             test.run()
-        except KeyboardInterrupt:
-            problem, interrupted = "ended by Ctrl-C", True
+        except Interrupted as interruption:
+            problem, signalled = f"ended by {interruption}", interruption.status
         except FreemasterError as error:
             problem = f"the line has failed: {error}"
         except (MeasurementError, BlockRefusedError, AxisConfigError) as error:
@@ -98,7 +98,7 @@ def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, bo
         test.log.notes["problem"] = problem
         with contextlib.suppress(FreemasterError):
             test.log.notes["seconds"] = ((access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
-    return test.log, problem, interrupted
+    return test.log, problem, signalled
 
 
 def _base(context: Context) -> dict[str, Any]:

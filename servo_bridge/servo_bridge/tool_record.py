@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from servo_msgs_py.runtime.program import deferred
 
 from servo_bridge.bursts import request as burst_request
 from servo_bridge.bursts.burst import Burst
@@ -50,29 +49,19 @@ def record(context: Context) -> int:
 
 
 def run(recording: Recording, session: Session, timeout: float | None = None) -> Burst:
-    """Record a burst until its trigger, Ctrl-C or the timeout [s], with a progress line."""
+    """Record a burst until its trigger, a signal or the timeout [s], with a progress line."""
     start = time.monotonic()
-    with ProgressLine() as progress, interrupts(recording.stop):
+    with ProgressLine() as progress, deferred() as stop:
         while (burst := recording.step(session)) is None:
             seconds = time.monotonic() - start
             if recording.phase is Phase.READING:
                 progress.bar("reading", recording.read, recording.size)
             else:
                 progress.text(f"{recording.phase.value}, {seconds:.0f} s")
-            if timeout is not None and seconds >= timeout:
+            if stop.requested or (timeout is not None and seconds >= timeout):
                 recording.stop()
             time.sleep(recording.pause)
     return burst
-
-
-@contextmanager
-def interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Call `stop` at Ctrl-C instead of interrupting an exchange with the board."""
-    before = signal.signal(signal.SIGINT, lambda *_: stop())
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _summary(burst: Burst, files: list[str], recording: Recording, *, triggered: bool) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name, numbers
 from servo_msgs_py.recording_names import burst_parts, telemetry_parts
+from servo_msgs_py.runtime.program import deferred
 
 from servo_bridge.bursts import request as burst_request
 from servo_bridge.bursts.burst import Burst, Channel, channels_of
@@ -24,7 +25,6 @@ from servo_bridge.sampler import Sampler
 from servo_bridge.scope_view import Curve, ScopeView, ViewLostError
 from servo_bridge.tool_commands import warn
 from servo_bridge.tool_progress import ProgressLine
-from servo_bridge.tool_record import interrupts
 from servo_bridge.tool_values import UsageError, lookup, opened
 from servo_bridge.wire.session import Session
 from servo_msgs_py import argument
@@ -137,7 +137,6 @@ class _Run:
         self._telemetry = telemetry
         self._recording = Recording(request, self._catalogue)
         self._stopped_ns: int | None = None
-        self._ended = False
         self.bursts = 0  # recorded so far
 
     def begin(self) -> None:
@@ -156,13 +155,13 @@ class _Run:
         return [channel for channel in self._recording.channels if channel.name != TICK]
 
     def until_ended(self, view: ScopeView, count: int | None) -> None:
-        """Continue until Ctrl-C, or for `count` bursts."""
-        with ProgressLine() as progress, interrupts(self._end):
+        """Continue until a signal, or for `count` bursts."""
+        with ProgressLine() as progress, deferred() as stop:
             try:
                 self._telemetry.read()  # origin of the timeline
                 self._again()  # restart: the viewer may have taken long to open
                 due = time.monotonic()
-                while not self._ended:
+                while not stop.requested:
                     self._telemetry.read()
                     self._telemetry.show(view)
                     if time.monotonic() >= due:
@@ -174,9 +173,6 @@ class _Run:
                 with suppress(FreemasterError):
                     self._recording.abandon()
                 self._telemetry.show(view, all_of_it=True)
-
-    def _end(self) -> None:
-        self._ended = True
 
     def _again(self) -> None:
         """Start the next burst."""

@@ -48,6 +48,7 @@ def tune(context: Context) -> int:
         return _from_board(context, memory) if args.from_board else _to_board(context, memory)
     except ConfigError as error:
         print(f"servo-tool: {args.file or 'the configuration of the board'}: {error}", file=sys.stderr)
+        return 2 if args.file else 1
     except (AxisConfigError, BlockRefusedError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
     return 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -278,8 +277,6 @@ class Rig:
     @contextlib.contextmanager
     def samples(self, before_sample: Callable[[], None] = lambda: None) -> Iterator[None]:
         """Deliver samples from a thread, each after `before_sample`; the main thread can run a ROS program."""
-        numbers = (signal.SIGINT, signal.SIGTERM)
-        handlers = [signal.getsignal(number) for number in numbers]  # the program replaces them
         stop = threading.Event()
 
         def run() -> None:
@@ -298,8 +295,6 @@ class Rig:
         finally:
             stop.set()
             board.join()
-            for number, handler in zip(numbers, handlers, strict=True):
-                signal.signal(number, handler)
 
     def wait_for_pending(self) -> None:
         """Wait for all pending messages, by set-points that are refused."""

@@ -32,13 +32,17 @@ def user_of(joint: Joint, motors: list[Motor], position: float = 0.0) -> SimpleN
     )
 
 
+def not_followed(_message: object, _duration: float) -> str:
+    raise AssertionError
+
+
 def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1000.0) -> str:
     """Report about a sine with an acceleration amplitude of the joint [rad/s^2]."""
     user = user_of(Joint("axis1", gear_ratio), motors)
     omega = 2.0 * 3.141592653589793 * 5.0
     options = {"joint": "axis1", "amplitude": acceleration / omega**2, "frequency": 5.0, "duration": 4.0}
     args = argparse.Namespace(verb="sine", dry_run=True, **options)
-    return run_path(user, args)
+    return run_path(user, args, not_followed)
 
 
 @pytest.mark.parametrize("gear_ratio", [1.0, 3.0])
@@ -58,7 +62,7 @@ def test_a_joint_that_wraps_moves_by_the_shorter_way(tmp_path: Path, wraps: bool
     file.write_text("time,axis1\n1.0,-3.0\n")
     follow = argparse.Namespace(verb="follow", dry_run=True, file=str(file))
     for args in (move, follow):
-        assert f"axis1: to {end}" in run_path(user, args)
+        assert f"axis1: to {end}" in run_path(user, args, not_followed)
 
 
 def test_current_of_an_unknown_motor_is_not_reported() -> None:

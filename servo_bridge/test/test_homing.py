@@ -8,11 +8,13 @@ import pytest
 from board_context_rig import board_context
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
-from servo_bridge.homing import METHODS, Homing
+from servo_bridge.homing import Homing
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Snapshot
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.joints import Joint
+
+from servo_msgs_py import topics
 
 CATALOGUE = Catalogue.load()
 STATE, METHOD, RESULT = (CATALOGUE.enums[f"home_{name}_t"] for name in ("state", "method", "result"))
@@ -90,7 +92,7 @@ class Rig:
 
 
 def test_methods_are_those_of_the_board() -> None:
-    assert {name.upper() for name in METHODS} == METHOD.keys() - {"NONE", "ASSUME"}
+    assert {name.upper() for name in topics.HOME_METHODS} == METHOD.keys() - {"NONE", "ASSUME"}
 
 
 @pytest.mark.parametrize(

@@ -664,6 +664,6 @@ def test_closed_output_pipe_ends_the_tool(fake_port: FakePort) -> None:
         assert tool_process.stdout is not None
         assert "tick=" in tool_process.stdout.readline()
         tool_process.stdout.close()
-        assert tool_process.wait(20) == 0
+        assert tool_process.wait(20) == 141
         assert tool_process.stderr is not None
         assert tool_process.stderr.read() == ""

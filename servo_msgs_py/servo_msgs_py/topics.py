@@ -65,6 +65,8 @@ TUNE: Final = "tune"
 """std_srvs/SetBool: send the configuration in the file of the parameter ``tuning``; data: false: dry run."""
 HOME: Final = "home"
 """std_srvs/Trigger, ``<joint>/home/<method>``: homing service of a joint."""
+HOME_METHODS: Final = ("here", "stop_positive", "stop_negative", "switch_positive", "switch_negative")
+"""Methods to set the position of a joint; directions are those of the joint."""
 POSITION_KNOWN: Final = "position_known"
 """std_msgs/Bool, latched, ``<joint>/position_known``: whether the position was set or found since the last reset."""
 SAVE_TO_BOARD: Final = "save_to_board"

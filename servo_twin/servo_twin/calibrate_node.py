@@ -76,7 +76,7 @@ def main(args: Sequence[str] | None = None) -> int:
     def make(_: Any) -> Calibration:
         return Calibration()
 
-    return run("servo_twin calibrate", purpose, PARAMETERS, make, args)
+    return run("servo_twin calibrate", purpose, PARAMETERS, make, args, endless=False)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.runtime.program import program
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -156,23 +157,21 @@ def _bench(args: argparse.Namespace) -> int:
     return 0
 
 
+@program("servo-sim")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Returns
     -------
     int
-        0: success, 1: the run failed, 2: wrong usage, 130: Ctrl-C.
+        0: success, 1: the run failed, 2: wrong usage or a file that cannot be opened; else `program`.
     """
     args = parser().parse_args(argv)
     try:
         return int(args.run(args))
-    except (SimulationError, PlantError, OSError, ValueError) as error:
+    except (SimulationError, PlantError, ValueError) as error:
         print(f"servo-sim: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("servo-sim: interrupted", file=sys.stderr)
-        return 130
 
 
 if __name__ == "__main__":

@@ -12,19 +12,18 @@ import contextlib
 import os
 import re
 import shlex
-import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
-from typing import Any, Final, NoReturn
+from typing import Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.node_name import taken
+from servo_msgs_py.runtime.program import Interrupted, deferred, program
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 from servo_msgs_py import board_parameters
@@ -39,7 +38,6 @@ _DEMO_WAIT: Final = 60.0  # of the demonstration without progress while it conne
 _ANNOUNCE: Final = 0.2  # interval of the messages about the processes [s]
 _PICTURE, _RECORDING, _FIGURES = "demo.png", "demo.rrd", "demo.json"  # results of the demonstration
 _RANGE, _LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
-_INTERRUPTED: Final = 130
 _DOMAIN_MAX: Final = 232  # higher domain ids exceed the range of UDP ports
 _WARNING: Final = "virtual_board: warning:"
 
@@ -57,47 +55,6 @@ Without:
   {command} set param.speed_limit=100,100
   {command} disable
 Ctrl-C ramps down, switches the outputs off and stops all processes."""
-
-
-class _StopRequested(BaseException):
-    """SIGINT, SIGTERM or SIGHUP; a BaseException, so that no library catches it as an error."""
-
-
-class _Signals:
-    """Converts SIGINT, SIGTERM and SIGHUP (closed terminal) to one `_StopRequested`; ignores them afterwards."""
-
-    _NUMBERS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-    def __init__(self) -> None:
-        self._held = False
-        self._requested = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> _Signals:
-        self._before = {number: signal.signal(number, self._request) for number in self._NUMBERS}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _request(self, _signum: int, _frame: FrameType | None) -> None:
-        for number in self._NUMBERS:
-            signal.signal(number, signal.SIG_IGN)
-        self._requested = True
-        if not self._held:
-            raise _StopRequested
-
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Delay a signal until the end of the block."""
-        requested_before, self._held = self._requested, True
-        try:
-            yield
-        finally:
-            self._held = False
-        if self._requested and not requested_before:
-            raise _StopRequested
 
 
 def _port(text: str) -> str:
@@ -366,14 +323,15 @@ def _environment(args: argparse.Namespace) -> dict[str, str]:
     return environment
 
 
+@program("servo-up")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run until Ctrl-C, or until the end of the demonstration.
 
     Returns
     -------
     int
-        0: normal end; 1: a child process or the demonstration failed; 2: wrong usage; 130: the demonstration was
-        interrupted.
+        0: normal end, without a demonstration also by a signal; 1: a child process or the demonstration failed; 2:
+        wrong usage; else `program`.
     """
     args = parser().parse_args(argv)
     if args.demo and args.port:
@@ -381,20 +339,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     environment = _environment(args)
     args.out.mkdir(parents=True, exist_ok=True)
     record = args.out / _RECORDING if args.demo else args.record
-    with _Signals() as signals:
-        try:
-            return _session(args, environment, record, signals)
-        except _StopRequested:
-            return _INTERRUPTED if args.demo else 0
+    try:
+        return _session(args, environment, record)
+    except Interrupted as interruption:
+        return interruption.status if args.demo else 0
 
 
-def _session(args: argparse.Namespace, environment: dict[str, str], record: Path | None, signals: _Signals) -> int:
+def _session(args: argparse.Namespace, environment: dict[str, str], record: Path | None) -> int:
     """Start, run and stop all processes; returns the exit status."""
     stack = Stack(args.out, environment)
     if args.demo:
         for name in (_PICTURE, _RECORDING, _FIGURES):  # those of another run
             (args.out / name).unlink(missing_ok=True)
-    status = 0
+    status, interrupted = 0, False
     with tempfile.TemporaryDirectory(prefix="servo-") as folder:
         try:
             if not args.demo:
@@ -407,27 +364,28 @@ def _session(args: argparse.Namespace, environment: dict[str, str], record: Path
             if not args.demo:
                 _wait_for_stop(stack, args)
             status = _run_demo(stack, environment, args.out)
-        except _StopRequested:
+        except Interrupted as stopped:
             _print("\nstopping: outputs off, then all processes")
-            status = _INTERRUPTED if args.demo else 0
+            interrupted, status = True, stopped.status if args.demo else 0
         except (ChildError, ValueError) as error:
             _print(f"servo-up: {error}")
             status = 1
         finally:
-            with signals.held():
+            with deferred() as stop:
                 killed = stack.stop()
+            stop.check()
         if killed:
             _print(f"killed after a timeout: {', '.join(killed)}")
             status = status or 1
-    if args.demo and status not in (0, _INTERRUPTED) and record and record.exists():
+    if args.demo and status and not interrupted and record and record.exists():
         _print(f"recording  {record}   (not complete; no picture)")
-    if args.demo and status == 0 and record:
+    if args.demo and status == 0 and not interrupted and record:
         try:
             _finish_demo(record, args.out)
         except (ChildError, ValueError) as error:
             _print(f"servo-up: {error}")
             status = status or 1
-        except _StopRequested:
+        except Interrupted:
             _print(f"\nstopped; the recording is in {record}, the picture was not drawn")
             raise
     return status

@@ -10,16 +10,15 @@ import argparse
 import errno
 import os
 import select
-import signal
 import stat
 import sys
 import time
 import tty
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import Final, Protocol
+
+from servo_msgs_py.runtime.program import complain, deferred, program
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -292,22 +291,6 @@ def serve(
             waiting = waiting[board.serial_in(waiting) :]
 
 
-@contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Convert SIGINT and SIGTERM to a flag."""
-    caught: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        caught.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: bool(caught)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def slip_reporter(level: Level, clock_ns: Callable[[], int] = time.monotonic_ns) -> Callable[[Pacer], None]:
     """Warning about slips, with the mean speed since the previous one, at most every `REPORT_INTERVAL_S`.
 
@@ -327,11 +310,9 @@ def slip_reporter(level: Level, clock_ns: Callable[[], int] = time.monotonic_ns)
         if passed_s < FIRST_REPORT_S or (slipped_s > 0.0 and passed_s < REPORT_INTERVAL_S):
             return
         factor = max(1.0 - (pacer.slipped_s - slipped_s) / passed_s, 0.0)
-        print(
+        complain(
             f"virtual_board: warning: the machine is too slow for a board at level {level}: time runs at"
-            f" {factor:.2f} of its speed (last {passed_s:.1f} s); {_slips(pacer)}",
-            file=sys.stderr,
-            flush=True,
+            f" {factor:.2f} of its speed (last {passed_s:.1f} s); {_slips(pacer)}"
         )
         last_ns, slipped_s = clock_ns(), pacer.slipped_s
 
@@ -347,8 +328,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="virtual_board",
         description="Simulated servo board: the firmware, two motors and a DC bus at a serial port (a "
         "pseudo-terminal), in real time. Stop it with Ctrl-C.",
-        epilog="Exit status: 0 stopped by SIGINT or SIGTERM, 1 operating system error, 2 wrong options, link or plant "
-        "file. Example: virtual_board --link /tmp/servo --baud 1000000",
+        epilog="Exit status: 0 stopped by SIGINT, SIGTERM or SIGHUP, 1 operating system error, 2 wrong options, "
+        "link or plant file. Example: virtual_board --link /tmp/servo --baud 1000000",
     )
     parser.add_argument("--link", type=Path, help="symbolic link to the port, as a fixed name")
     parser.add_argument(
@@ -369,6 +350,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+@program("virtual_board")
 def main(argv: list[str] | None = None) -> int:
     """Command ``virtual_board``; returns its exit status."""
     options = _parser().parse_args(argv)
@@ -386,13 +368,13 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         return _print_error(f"{error.filename or options.plant}: {error.strerror}", 2)
     try:
-        with board, _stop_signals() as stopped, Terminal(options.link) as line:
+        with board, deferred() as stop, Terminal(options.link) as line:
             where = f"{options.link} -> {line.device}" if options.link else line.device
             what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
             print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
             pacer = Pacer(time.monotonic_ns(), speed=options.speed)
             update_flash = _flash_updater(board, flash)
-            serve(board, line, pacer, stopped, on_slip=slip_reporter(board.level), on_step=update_flash)
+            serve(board, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=update_flash)
             print(
                 f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
                 f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
@@ -422,7 +404,7 @@ def _flash_updater(board: Board, flash: FlashFile | None) -> Callable[[], None]:
 
 
 def _print_error(message: str, status: int) -> int:
-    print(f"virtual_board: {message}", file=sys.stderr)
+    complain(f"virtual_board: {message}")
     return status
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, Protocol
 
@@ -20,6 +18,7 @@ from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 from servo_msgs_py.runtime.node_name import claim
 from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, ros_parameter_file
+from servo_msgs_py.runtime.program import complain, deferred, program
 
 _SPIN_TIMEOUT: Final = 0.1  # longest delay until a stop request is processed [s]
 
@@ -85,8 +84,10 @@ def run(
     parameters: Mapping[str, Spec],
     make: Callable[[EventsExecutor], Runnable],
     args: Sequence[str] | None,
+    *,
+    endless: bool = True,
 ) -> int:
-    """Run a node until Ctrl-C, SIGTERM, its end or an error.
+    """Run a node until SIGINT, SIGTERM, SIGHUP, its end or an error.
 
     Parameters
     ----------
@@ -96,13 +97,27 @@ def run(
         Creates the node for an executor; called after the initialisation of ROS.
     args : sequence of str, optional
         Arguments without the name of the program; by default those of the process.
+    endless : bool
+        Whether a signal is the ordinary end of the node.
 
     Returns
     -------
     int
-        0 after an orderly end, 1 after an error of the node or if its name is in use, 2 if a parameter or an argument
+        0 after the ordinary end, 1 after an error of the node or if its name is in use, 2 if a parameter or an argument
         is invalid.
     """
+    return program(name)(lambda: _run(name, purpose, parameters, make, args, endless=endless))()
+
+
+def _run(
+    name: str,
+    purpose: str,
+    parameters: Mapping[str, Spec],
+    make: Callable[[EventsExecutor], Runnable],
+    args: Sequence[str] | None,
+    *,
+    endless: bool,
+) -> int:
     try:
         own = remove_ros_args([name, *(sys.argv[1:] if args is None else args)])[1:]
     except RuntimeError as error:
@@ -115,35 +130,35 @@ def run(
         return 0
     if own:
         return _print_error(name, f"unknown argument {own[0]}; --help lists all arguments", 2)
-    stop = threading.Event()
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         return _print_error(name, _without_source_lines(str(error)), 2)
-    if threading.current_thread() is threading.main_thread():
-        # Not the handlers of rclpy: ROS is needed until the orderly shutdown of the node is complete.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: stop.set())
-    executor = EventsExecutor()
-    node: Runnable | None = None
-    try:
-        node = make(executor)
-        executor.add_node(node)
-        while ok() and not stop.is_set() and not node.failure and not node.finished:
-            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
-        if node.failure:
-            return _print_error(name, node.failure, 1)
-    except ParameterError as error:
-        return _print_error(name, str(error), 2)
-    except NameTakenError as error:
-        return _print_error(name, str(error), 1)
-    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
-        return 0
-    finally:
-        if node is not None:
-            executor.remove_node(node)
-            node.shutdown()
-        try_shutdown()
+    # Not the handlers of rclpy: ROS is needed until the orderly shutdown of the node is complete.
+    with deferred() as stop:
+        executor = EventsExecutor()
+        node: Runnable | None = None
+        try:
+            node = make(executor)
+            executor.add_node(node)
+            while ok() and not stop.requested and not node.failure and not node.finished:
+                executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+            if node.failure:
+                return _print_error(name, node.failure, 1)
+            if not (endless or node.finished):
+                stop.check()
+        except ParameterError as error:
+            return _print_error(name, str(error), 2)
+        except NameTakenError as error:
+            return _print_error(name, str(error), 1)
+        except (ExternalShutdownException, ROSInterruptException):
+            return 0
+        finally:
+            if node is not None:
+                executor.remove_node(node)
+                node.shutdown()
+            executor.shutdown()
+            try_shutdown()
     return 0
 
 
@@ -153,5 +168,5 @@ def _without_source_lines(text: str) -> str:
 
 
 def _print_error(name: str, message: str, status: int) -> int:
-    print(f"{name}: {message}", file=sys.stderr, flush=True)
+    complain(f"{name}: {message}")
     return status

@@ -12,7 +12,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 
-_HELP_WIDTH: Final = 100
+_HELP_WIDTH: Final = 79
 _FILE_WIDTH: Final = 120
 _INDENT: Final = "    "
 _NO_BREAK: Final = "\N{NO-BREAK SPACE}"
@@ -87,7 +87,8 @@ def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False
 def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
     """Text of ``--help`` of a node."""
     lines = [
-        f"usage: {name} [-h | --parameter-file] [--ros-args -p NAME:=VALUE ... -r FROM:=TO ... --params-file FILE]",
+        f"usage: {name} [-h | --parameter-file]",
+        "       [--ros-args -p NAME:=VALUE ... -r FROM:=TO ... --params-file FILE]",
         "",
         *textwrap.wrap(purpose, _HELP_WIDTH),
         "",
@@ -98,7 +99,11 @@ def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
     for key, spec in parameters.items():
         limits = f", {spec.limits}" if spec.limits else ""
         text = f"{spec.description} (default: {spec.default!r}{limits})"
-        lines += [f"  {key}", *textwrap.wrap(text, _HELP_WIDTH, initial_indent="      ", subsequent_indent="      ")]
+        indent = 6 * " "
+        lines += [f"  {key}"]
+        lines += textwrap.wrap(
+            text, _HELP_WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+        )
     return "\n".join(lines)
 
 

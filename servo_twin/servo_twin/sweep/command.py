@@ -15,6 +15,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.runtime.program import Interrupted
+
 from servo_msgs_py import argument
 from servo_twin import board as board_module
 from servo_twin.experiments.report import table
@@ -146,8 +148,8 @@ def _run(args: argparse.Namespace) -> int:
             with contextlib.closing(Runner.of(args).run(sweep, store.missing, "sweep, trials")) as results:
                 for _, trial in results:
                     store.add(trial)
-        except KeyboardInterrupt:
-            status = 130
+        except Interrupted as interruption:
+            status = interruption.status
         finally:
             seconds = time.monotonic() - begin
             summary = Summary(store)

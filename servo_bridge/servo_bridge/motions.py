@@ -1,0 +1,280 @@
+"""Motions of ``servo-command``: each ends where it was commanded, or with the reason why not.
+
+Whatever ends the program during a motion (a signal, an error of its own), the joints are stopped before. A program that
+is killed cannot do that: then the board ends velocities and efforts, and the bridge paths, see
+`servo_msgs_py.answers`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import JointState
+from servo_msgs_py.answers import LEASE_PERIOD, Answer, Phase, answer_from_message, new_ticket
+from servo_msgs_py.convert import applied_from_message, from_stamp
+from servo_msgs_py.joints import Joint
+from servo_msgs_py.runtime.program import complain
+from servo_msgs_py.runtime.qos import answers_qos, command_qos, telemetry_qos
+from std_msgs.msg import Float64MultiArray, String
+from trajectory_msgs.msg import JointTrajectory
+
+from servo_bridge.commander import Commander, CommandError
+from servo_msgs_py import topics
+
+POSITION_TOLERANCE: Final = 0.02  # largest distance from a commanded position that counts as reached [rad]
+_HELD: Final = 0.1  # time within the tolerance until a position counts as reached [s]
+_VELOCITY_TOLERANCE: Final = (0.05, 0.5)  # of a velocity: relative, and [rad/s]; the larger one counts
+_MEAN: Final = 0.2  # time over which a velocity is averaged [s]
+_STANDSTILL: Final = 2.0  # time without motion after which a position is not reached any more [s]
+_STILL: Final = 1.0e-3  # largest motion of a joint at rest [rad]
+_REPEAT: Final = 0.05  # period of velocity and effort set-points, which expire otherwise [s]
+_AGAIN: Final = 0.5  # time after which a command without an answer is repeated: it may have met no subscriber [s]
+_SILENCE: Final = 3.0  # longest time without telemetry [s]
+_VARIABLES: Final = {"position": "cmd.position", "velocity": "cmd.speed", "effort": "cmd.i_q"}
+
+
+class Motions:
+    """Motions of the joints of one servo.
+
+    Parameters
+    ----------
+    commander : Commander
+        The servo.
+    """
+
+    def __init__(self, commander: Commander) -> None:
+        self._commander = commander
+        self._answers: dict[str, Answer] = {}  # newest, by ticket
+        self._samples: deque[tuple[float, JointState]] = deque(maxlen=4000)  # with their board time [s]
+        self._received = 0.0  # steady time of the newest sample [s]
+        self._applied: set[str] = set()  # variables of the set-points that took effect
+        self._commanded = False  # whether a joint may be in motion for this program
+        node, of = commander, commander.of
+        node.create_subscription(DiagnosticStatus, of(topics.ANSWERS), self._on_answer, answers_qos())
+        node.create_subscription(JointState, of(topics.JOINT_STATES), self._on_sample, telemetry_qos())
+        node.create_subscription(Float64MultiArray, of(topics.COMMANDS_APPLIED), self._on_applied, telemetry_qos())
+        self._set_points = node.create_publisher(JointState, of(topics.JOINT_COMMANDS), command_qos())
+        self._paths = node.create_publisher(JointTrajectory, of(topics.JOINT_TRAJECTORY), command_qos())
+        self._leases = node.create_publisher(String, of(topics.LEASES), command_qos())
+        commander.watch()
+        commander.wait_for(lambda: self._samples, f"no {of(topics.JOINT_STATES)} were received")
+
+    # ---- motions
+    def set_points(self, quantity: str, targets: Mapping[str, float], duration: float) -> str:
+        """Command positions, and wait until they are reached; or velocities or efforts for a time.
+
+        Parameters
+        ----------
+        quantity : {"position", "velocity", "effort"}
+            Quantity of the targets.
+        targets : mapping of str to float
+            Set-points by joint: [rad], [rad/s] or [N m].
+        duration : float
+            Time for which velocities and efforts are renewed [s]; 0: sent once.
+
+        Raises
+        ------
+        CommandError
+            If the set-points are refused, have no effect, or are not reached.
+        """
+        joints = {joint.name: joint for joint in self._commander.joints()}
+        message = JointState(name=list(targets))
+        setattr(message, quantity, list(targets.values()))
+        with self.stopped_on_error(list(targets)):
+            self._applied.clear()
+            ticket = self._send(self._set_points, message)
+            if quantity == "position":
+                self._arrive({joints[name]: target for name, target in targets.items()})
+                return "done: " + self.positions_text(targets)
+            self._renew(message, ticket, duration)
+            self._commander.wait_for(lambda: _VARIABLES[quantity] in self._applied, "the set-points had no effect")
+            if quantity == "velocity" and duration:
+                return "done: " + self._reached_velocities(targets)
+        return "took effect"
+
+    def follow(self, message: JointTrajectory, progress: Callable[[float], None], duration: float) -> None:
+        """Follow a trajectory to its end.
+
+        Parameters
+        ----------
+        message : JointTrajectory
+            The trajectory.
+        progress : callable
+            Called with the part of `duration` that has passed, 0 .. 1.
+        duration : float
+            Of the trajectory [s].
+
+        Raises
+        ------
+        CommandError
+            If it is refused, or the joints are not at its end within the tolerance of the bridge.
+        """
+        with self.stopped_on_error(message.joint_names):
+            ticket = self._send(self._paths, message)
+            begin, renewed = 0.0, 0.0
+            while not (answer := self._answers[ticket]).phase.final:
+                now = time.monotonic()
+                if now >= renewed + LEASE_PERIOD:
+                    renewed = now
+                    self._leases.publish(String(data=ticket))
+                if answer.phase is Phase.ACCEPTED:
+                    begin = self._samples[-1][0]
+                progress(min((self._samples[-1][0] - begin) / max(duration, 1e-9), 1.0))
+                self._step()
+            _require(answer)
+
+    def home(self, joint: str, method: str, position: float | None) -> str:
+        """Home a joint; parameters and errors as `Commander.home`."""
+        with self.stopped_on_error([joint]):
+            self._commanded = True
+            return self._commander.home(joint, method, position)
+
+    def stop(self, joints: Sequence[str]) -> None:
+        """Stop joints with the acceleration limit, and wait until they hold.
+
+        Raises
+        ------
+        CommandError
+            If the bridge refuses, or does not answer.
+        """
+        self._commander.timeout = min(self._commander.timeout, _SILENCE)
+        ticket = self._send(self._paths, JointTrajectory(joint_names=list(joints)))
+        self._commander.wait_for(lambda: self._answers[ticket].phase.final, "no answer of the bridge to the stop")
+        _require(self._answers[ticket])
+
+    @contextmanager
+    def stopped_on_error(self, joints: Sequence[str]) -> Iterator[None]:
+        """Stop joints if the block ends early."""
+        try:
+            yield
+        except CommandError:
+            raise  # the motion has ended
+        except BaseException:
+            if self._commanded:
+                try:
+                    self.stop(joints)
+                    complain(f"stopped: {self.positions_text(joints)}")
+                except CommandError as error:
+                    complain(f"servo-command: not stopped: {error}")
+            raise
+
+    def positions_text(self, joints: Sequence[str] | Mapping[str, float]) -> str:
+        """Text of the present positions of joints."""
+        return ", ".join(f"{joint} at {self._value('position', joint):.4f} rad" for joint in joints)
+
+    # ---- details
+    def _send(self, publisher: Any, message: Any) -> str:
+        """Publish a message until it is answered; returns its ticket."""
+        commander = self._commander
+        commander.wait_for(publisher.get_subscription_count, f"no subscriber on {publisher.topic_name}")
+        ticket = message.header.frame_id = new_ticket("servo-command")
+        due = 0.0
+        deadline = time.monotonic() + commander.timeout
+        while ticket not in self._answers:
+            now = time.monotonic()
+            if now >= deadline:
+                raise CommandError(f"no answer of the bridge to the command within {commander.timeout:g} s")
+            if now >= due:
+                due, self._commanded = now + _AGAIN, True
+                publisher.publish(message)
+            commander.step()
+        _require(self._answers[ticket])
+        return ticket
+
+    def _renew(self, message: JointState, ticket: str, duration: float) -> None:
+        """Repeat set-points for a time [s]."""
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            pause = min(time.monotonic() + _REPEAT, end)
+            while time.monotonic() < pause:
+                self._step()
+            self._commander.require_armed()
+            self._set_points.publish(message)
+            _require(self._answers[ticket])
+
+    def _arrive(self, targets: Mapping[Joint, float]) -> None:
+        """Wait until positions are reached."""
+        moved, before = self._samples[-1][0], {joint: self._value("position", joint.name) for joint in targets}
+        near_since = math.inf
+        while True:
+            now, present = self._samples[-1][0], {joint: self._value("position", joint.name) for joint in targets}
+            distances = {
+                joint: abs(joint.nearest(targets[joint], present[joint]) - present[joint]) for joint in targets
+            }
+            if max(distances.values()) > POSITION_TOLERANCE:
+                near_since = math.inf
+            elif near_since == math.inf:
+                near_since = now
+            if now - near_since >= _HELD:
+                return
+            if any(abs(present[joint] - before[joint]) > _STILL for joint in targets):
+                moved, before = now, present
+            if now - moved > _STANDSTILL:
+                joint = max(targets, key=lambda one: distances[one])
+                with suppress(CommandError):  # it does not run there unattended when it is released
+                    self.stop([one.name for one in targets])
+                raise CommandError(
+                    f"{joint.name} stands at {present[joint]:.4f} rad, {distances[joint]:.4f} rad from its target: "
+                    "blocked, at a limit, or commanded by somebody else; see `servo-command state`"
+                )
+            self._commander.require_armed()
+            self._step()
+
+    def _reached_velocities(self, targets: Mapping[str, float]) -> str:
+        """Text of the velocities at the end.
+
+        Raises
+        ------
+        CommandError
+            If one is not reached.
+        """
+        texts = []
+        for joint, target in targets.items():
+            velocity = self._mean_velocity(joint)
+            relative, absolute = _VELOCITY_TOLERANCE
+            texts.append(f"{joint} at {velocity:.2f} rad/s")
+            if abs(velocity - target) > max(relative * abs(target), absolute):
+                raise CommandError(
+                    f"{texts[-1]} instead of {target:g} rad/s: the time was too short, or a limit holds it back; see "
+                    "`servo-command state`"
+                )
+        return ", ".join(texts)
+
+    def _mean_velocity(self, joint: str) -> float:
+        end = self._samples[-1][0]
+        values = [m.velocity[list(m.name).index(joint)] for when, m in self._samples if when >= end - _MEAN]
+        return math.fsum(values) / len(values)
+
+    def _value(self, quantity: str, joint: str) -> float:
+        message = self._samples[-1][1]
+        return float(getattr(message, quantity)[list(message.name).index(joint)])
+
+    def _step(self) -> None:
+        self._commander.step()
+        if time.monotonic() - self._received > _SILENCE:
+            raise CommandError(f"no telemetry for {_SILENCE:g} s: the bridge or its board was lost")
+
+    def _on_answer(self, message: DiagnosticStatus) -> None:
+        answer = answer_from_message(message)
+        self._answers[answer.ticket] = answer
+
+    def _on_sample(self, message: JointState) -> None:
+        self._received = time.monotonic()
+        self._samples.append((from_stamp(message.header.stamp) * 1e-9, message))
+
+    def _on_applied(self, message: Float64MultiArray) -> None:
+        self._applied.add(applied_from_message(message).variable)
+
+
+def _require(answer: Answer) -> None:
+    """Raise `CommandError` if a command was refused or aborted."""
+    if answer.phase is Phase.REFUSED:
+        raise CommandError(f"refused, no motion: {answer.text}")
+    if answer.phase is Phase.ABORTED:
+        raise CommandError(f"stopped before the end: {answer.text}")
