@@ -19,6 +19,7 @@ from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.entities import Entities
 from servo_bridge.parameters import PARAMETERS, ParameterError, declare, settings_from, values_of, watch
 from servo_bridge.supervisor import Supervisor
+from servo_bridge.unlocked_publisher import unlocked
 from servo_bridge.wire.link import Link
 
 
@@ -73,6 +74,10 @@ class ServoBridge(LifecycleNode):
                 self.get_logger().info(f"unconfigured; to continue: ros2 lifecycle set /{full_name(self)} configure")
 
     # ---- entities, whose callbacks are measured
+    def create_publisher(self, *arguments: Any, **options: Any) -> Any:
+        """As `Node.create_publisher`."""
+        return unlocked(super().create_publisher(*arguments, **options))
+
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *arguments: Any, **options: Any
     ) -> Any:
