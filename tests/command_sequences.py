@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Literal
@@ -26,7 +26,7 @@ from controllers.hardware import (
 )
 from controllers.manager import ControllerManager
 from controllers.trajectory import Point
-from motion_permission import DELAY, Command, Motion, Permission, Violation
+from motion_permission import DELAY, TIMEOUT, Command, Motion, Permission, Violation
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.joints import Joint
@@ -267,10 +267,8 @@ class CommandSequence:
             yield min(_POLL, end - self.sim.now)
             self._permission.update(self._now())
 
-    def _command(
-        self, targets: Sequence[float], speed: float, valid: Callable[[], bool], *, stopped: bool, duration: float = 0.0
-    ) -> None:
-        self._permission.begin(Command(tuple(targets), (speed,) * AXES, valid, stopped, duration), self._now())
+    def _begin(self, command: Command) -> None:
+        self._permission.begin(command, self._now())
 
     # ---- script
     def _script(self) -> Iterator[float]:
@@ -398,20 +396,25 @@ class CommandSequence:
         if self._active == "trajectory":
             velocities = (0.0,) * AXES if step.velocities else ()
             self.trajectory.goal([Point(self._reported(targets), velocities, (), step.time)])
-            self._command(
-                targets, 1.5 * speed, lambda: self.trajectory.executes_goal, stopped=False, duration=step.time
+            speeds = (1.5 * speed,) * AXES
+            self._begin(
+                Command(targets, speeds, lambda: self.trajectory.executes_goal, stopped=False, duration=step.time)
             )
         elif self._active:
             self._forward(self.forward[self._active], step, targets)
 
     def _forward(self, controller: ForwardController, step: Step, targets: tuple[float, ...]) -> None:
         if controller.interface == POSITION:
-            values, ends, speed = self._reported(targets), targets, math.inf
+            values, ends, speed, delay = self._reported(targets), targets, math.inf, DELAY
         else:
-            speed = step.distance / step.time
+            speed, delay = step.distance / step.time, TIMEOUT
             values, ends = (speed, -speed), (math.copysign(math.inf, speed), -math.copysign(math.inf, speed))
         controller.command(values)
-        self._command(ends, abs(speed), lambda: controller.values == values and self.hardware.active, stopped=True)
+        valid = partial(self._forwarded, controller, values)
+        self._begin(Command(ends, (abs(speed),) * AXES, valid, delay=delay))
+
+    def _forwarded(self, controller: ForwardController, values: tuple[float, ...]) -> bool:
+        return self.forward[controller.interface] is controller and controller.values == values and self.hardware.active
 
     def _cancel(self, _: Step) -> Iterator[float]:
         yield 0.0
@@ -422,7 +425,7 @@ class CommandSequence:
         targets = self._targets(step, -1.0)
         end = self.sim.now + step.time + 1.0
         speed = math.inf if step.topic == "position" else 2.0 * abs(step.distance) / step.time
-        self._command(targets, speed, lambda: self.sim.now < end, stopped=True, duration=step.time)
+        self._begin(Command(targets, (speed,) * AXES, lambda: self.sim.now < end, duration=step.time))
         if step.topic == "position":
             for joint, target in zip(_JOINTS, self._reported(targets), strict=True):
                 self._publish(topics.joint_position_topic(joint), Float64(data=target))

@@ -41,6 +41,9 @@ STOP_TIME: Final = 0.35
 DELAY: Final = 0.25
 """Time until the end of a command takes effect [s]: delay of a stream, points in the queue of the board."""
 
+TIMEOUT: Final = 0.5 + DELAY
+"""The same for a velocity: the board runs on until ``param.command_timeout`` [s]."""
+
 STOP_DELAY: Final = 0.05
 """Time until a stop takes effect [s]: messages in transit."""
 
@@ -69,6 +72,7 @@ class Command:
     valid: Callable[[], bool]  # whether it has not ended
     stopped: bool = True  # whether a stop of the bridge ends it
     duration: float = 0.0  # of its path [s]
+    delay: float = DELAY  # until its end takes effect [s]
     reach: tuple[float, ...] = (0.0,) * AXES  # permitted distance beyond its targets [rad]
     axes: set[int] = field(default_factory=lambda: set(range(AXES)))  # joints that it still moves
     until: float = math.inf  # end of its effect [s]
@@ -144,7 +148,7 @@ class Permission:
         """End the commands that are not valid any more; call it often."""
         for command in self.commands:
             if command.until == math.inf and not command.valid():
-                command.until = motion.time + DELAY
+                command.until = motion.time + command.delay
         left = [command for command in self.commands if motion.time < command.until]
         if len(left) < len(self.commands):
             self.commands = left

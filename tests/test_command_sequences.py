@@ -32,6 +32,14 @@ CASES = {
         Setup(interpolate_from_desired_state=True, tolerances="none"),
         [Step("board restart", 1.0), Step("enable"), Step("goal", 1.5)],
     ),
+    "goal beyond a limit, and back": (
+        Setup(joints="limited"),
+        [Step("goal", 1.5, distance=4.0, time=1.0), Step("goal", 1.5, distance=-0.5)],
+    ),
+    "no bytes for 0.25 s during a goal": (
+        Setup(),
+        [Step("goal", 0.6, distance=4.0, time=2.0), Step("stall", 2.0, time=0.25)],
+    ),
     "goal of several turns": (
         Setup(interpolate_from_desired_state=True),
         [Step("goal", 2.5, distance=6.28, time=2.0)],
