@@ -33,6 +33,7 @@ setup(
     python_requires=">=3.10",
     install_requires=["numpy", "pyserial>=3.5", "servo_msgs_py"],
     extras_require={
+        "completion": ["argcomplete"],  # of servo-command in the shell
         "plot": ["matplotlib"],
         "ros": ["servo_msgs_py[ros]"],
         "test": ["pytest", "hypothesis"],

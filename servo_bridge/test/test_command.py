@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -244,6 +246,7 @@ def test_set_point_that_ends_early_is_an_error(
         ("position", "axis1=30"),
         ("move", "axis1=1", "--time", "4"),
         ("sine", "axis1", "--amplitude", "1", "--frequency", "1"),
+        ("home", "axis1", "--method", "stop-positive"),
     ],
 )
 def test_signal_stops_the_joints(
@@ -259,9 +262,10 @@ def test_signal_stops_the_joints(
     rig.enable_axes()
     sample = rig.link.sample
     signals = iter([number])
+    moving = {"cmd.speed", "cmd.i_q", "cmd.position", "cmd.points", "cmd.home"}
 
     def interrupt() -> None:
-        if any(name in ("cmd.speed", "cmd.i_q", "cmd.position", "cmd.points") for name, *_ in rig.link.written):
+        if moving & {name for name, *_ in rig.link.written}:
             for each in signals:
                 os.kill(os.getpid(), each)
         sample()
@@ -295,3 +299,12 @@ def test_check_of_the_state(rig: Rig, command: Command) -> None:
     rig.link.disconnect()
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
     assert command("state", "--check")[::2] == (1, "servo-command: not ready: the board is not connected\n")
+
+
+def test_shell_completes_the_command_line() -> None:
+    """argcomplete runs the program with the line to complete, and reads the answers from file descriptor 8."""
+    script = "import os; os.dup2(1, 8); from servo_bridge.command import main; main()"
+    line = "servo-command vel"
+    environment = os.environ | {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "IFS": "\n"}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "velocity"
