@@ -155,7 +155,7 @@ typedef enum {
 #define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002) /* DC bus below the under-voltage limit */
 #define FAULT_OVER_CURRENT UINT32_C(0x00000004) /* hardware over-current latch tripped */
 #define FAULT_CURRENT_OFFSET UINT32_C(0x00000008) /* current amplifier offset far from mid-scale during calibration */
-#define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* rotor search: full current does not move the shaft, or not far enough */
+#define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* rotor search without a result: full current does not move the shaft, not far enough, or it does not stay on the current vector (blocked, driven by a load, or swinging) */
 #define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no command and no keep-alive from the host within param.host_timeout, or, with the feature STARVED, no point of a trajectory in time */
 #define FAULT_STALLED UINT32_C(0x00000080) /* no movement at full current, and a current vector turned to both sides found no free rotor */
@@ -163,12 +163,12 @@ typedef enum {
 #define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor rotates but the encoder does not count, or its count alternates by one */
 #define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the position differs from its shaped set-point by more than param.following_error */
 #define FAULT_OVER_SPEED UINT32_C(0x00000800) /* the speed is above param.over_speed */
-#define FAULT_ENCODER_REVERSED UINT32_C(0x00001000) /* rotor search: the shaft moves away from the vector; the encoder counts against the direction of rotation */
+#define FAULT_ENCODER_REVERSED UINT32_C(0x00001000) /* rotor search: a rotation of the current vector by one and a half electrical turns was counted in the opposite direction */
 #define FAULT_OVER_TEMPERATURE UINT32_C(0x00002000) /* heat sink of the inverter above its temperature limit */
 #define FAULT_START_UP UINT32_C(0x00004000) /* sensorless start-up: no reliable speed estimate in time */
 #define FAULT_SPEED_FEEDBACK UINT32_C(0x00008000) /* the speed estimate of the observer is not reliable: the rotor stands still, oscillates, or does not follow */
-#define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* the encoder angle contradicts the back-EMF, or the torque of a rotating current vector: the encoder has slipped */
-#define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current although voltage is applied */
+#define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* the encoder angle contradicts the back-EMF, or the torque of a rotating current vector: the encoder has slipped, or the nominal motor data are wrong */
+#define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current, or not the requested one, although voltage is applied */
 #define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the ADC code of a current measurement is constant, or differs from its offset although the shunt carries no current */
 #define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop was late, or a period was omitted */
 #define FAULT_WATCHDOG UINT32_C(0x00100000) /* watchdog reset: the control loops had stopped */

@@ -104,7 +104,7 @@ static void away(rotor_search_t *search, const rotor_search_config_t *config, in
         search->lead_angle = 0;
         next(search, STAGE_CATCH);
     } else if (moved > 3 * counts || moved < -counts) {
-        search->phase = ROTOR_SEARCH_REVERSED;
+        search->phase = ROTOR_SEARCH_NO_MOVEMENT; /* a load too large, a heavy shaft, or a reversed encoder */
     } else if (search->timer == 0U && moved < counts && search->lead_angle < (int32_t)config->verify_angle) {
         search->lead_angle = f16_add(search->lead_angle, (frac16_t)config->verify_step);
         search->vector = f16_add_wrap(upper(search->balance_angle), search->lead_angle);

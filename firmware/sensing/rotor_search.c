@@ -14,9 +14,15 @@
 /* A vector beside theta_M moves the shaft by this factor more: at an end stop this leaves room for the twitch back. */
 #define SIDE_OVER_MOVE UINT16_C(2)
 
-/* The search ends as reversed when the shaft has run away from the assumed position this often (once may be a
- * disturbance), and as no movement when it has not followed this often (twice may be a start too close to an end
- * stop). */
+/* VERIFY waits for the end of a swing for at most this many hold times. */
+#define SWING_OVER_HOLD UINT16_C(8)
+
+/* Speed of the vector in DIRECTION, relative to VERIFY. */
+#define DIRECTION_OVER_VERIFY UINT16_C(8)
+
+/* The direction of the encoder is tested when the shaft has run away from the assumed position this often (once may be a
+ * disturbance); the search ends as no movement when it has not followed this often (twice may be a start too close to an
+ * end stop). */
 #define RUNAWAYS_MAX UINT16_C(2)
 #define VERIFY_FAILURES_MAX UINT16_C(3)
 
@@ -108,14 +114,23 @@ static void verify(rotor_search_t *search, int32_t position)
     search->reference_position = position;
     search->direction = 1;
     search->follows = false;
+    search->last_position = position;
+    search->ticks_at_limit = 0;
+}
+
+static void test_direction(rotor_search_t *search, int32_t position)
+{
+    search->phase = ROTOR_SEARCH_DIRECTION;
+    search->current = 0;
+    search->origin = position;
+    search->timer = 0;
+    search->half_turns_sum = 0;
 }
 
 /* The assumed position is wrong and there is no other candidate: try from the side, or give up. */
 static void reject_position(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->runaways >= RUNAWAYS_MAX) {
-        finish(search, ROTOR_SEARCH_REVERSED);
-    } else if (search->verify_failures >= VERIFY_FAILURES_MAX) {
+    if (search->runaways < RUNAWAYS_MAX && search->verify_failures >= VERIFY_FAILURES_MAX) {
         finish(search, ROTOR_SEARCH_NO_MOVEMENT);
     } else {
         search->reach = HALF_TURN;
@@ -247,6 +262,10 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
         finish(search, ROTOR_SEARCH_FOUND);
         return;
     }
+    if (search->runaways >= RUNAWAYS_MAX) {
+        test_direction(search, position);
+        return;
+    }
     if (search->direction != 0 && search->side != 0) {
         decide_side(search);
     } else if (search->direction != 0) {
@@ -260,6 +279,22 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
 }
 
+/* Full current on the assumed angle, until the shaft does not swing any more. */
+static void hold_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    const frac32_t limit = f32_from_f16(config->current_limit);
+    const bool full = search->current >= limit;
+    search->ticks_at_limit += full ? 1U : 0U;
+    const bool swings = distance(search->last_position, position) > 1U &&
+                        search->ticks_at_limit < (uint32_t)SWING_OVER_HOLD * config->hold_ticks;
+    search->timer = (uint16_t)((full && !swings) ? search->timer + 1U : 0U);
+    if (!full || swings) {
+        search->last_position = position;
+    }
+    search->reference_position = position;
+    search->current = f32_limit((int64_t)search->current + growth(search, config), limit);
+}
+
 /* Rotate the vector to one side until the shaft has followed, then back until the shaft has returned; if it does not
  * follow, to the other side. Friction contributes to the angle between vector and assumed rotor angle; the mean of both
  * directions is the error of the assumed angle. */
@@ -269,15 +304,13 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
     const frac16_t rotor = f16_add_wrap(search->theta_m, shift_of(search, config, position));
     const frac16_t ahead = f16_sub_wrap(search->vector, rotor);
     const int64_t gone = (int64_t)distance(search->origin, position) * config->angle_per_count;
-    if (gone > (int64_t)config->verify_angle << 14) { /* a quarter of the largest turn: not held by the vector */
+    if (gone > (int64_t)QUARTER_TURN << 16) { /* farther than a swing from the largest error that is corrected here */
         search->runaways++;
         reject_position(search, config, position);
         return;
     }
     if (search->current < limit || search->timer < config->hold_ticks) {
-        search->timer = (uint16_t)((search->current < limit) ? 0U : search->timer + 1U);
-        search->current = f32_limit((int64_t)search->current + growth(search, config), limit);
-        search->reference_position = position;
+        hold_step(search, config, position);
         return;
     }
     const int32_t moved = search->direction * i32_sub_wrap(position, search->reference_position);
@@ -299,6 +332,31 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
         search->origin = position;
         search->verified = true;
         rest(search, config, position); /* the shaft has just moved: wait for standstill before the hand-over */
+    }
+}
+
+/* Rotate the vector by three half turns. In the first one the shaft locks to the vector. The mean position in the third
+ * minus that in the second is half a turn, in the direction in which the encoder counts; swings of the shaft cancel. */
+static void direction_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    const frac32_t limit = f32_from_f16(config->current_limit);
+    if (search->current < limit) {
+        search->current = f32_limit((int64_t)search->current + config->current_step, limit);
+        return;
+    }
+    const uint16_t step = (uint16_t)(DIRECTION_OVER_VERIFY * config->verify_step);
+    const uint16_t half = (uint16_t)(HALF_TURN / step);
+    const int32_t moved = i32_sub_wrap(position, search->origin);
+    search->vector = f16_add_wrap(search->vector, (frac16_t)step);
+    if (search->timer >= half) {
+        search->half_turns_sum += (search->timer < 2U * (uint32_t)half) ? -moved : moved;
+    }
+    search->timer++;
+    if (search->timer >= 3U * (uint32_t)half) {
+        const int64_t quarter = ((int64_t)QUARTER_TURN << 16) * half;
+        const int64_t back = -(int64_t)search->half_turns_sum * config->angle_per_count;
+        const bool against = back > quarter && back < 3 * quarter;
+        finish(search, against ? ROTOR_SEARCH_REVERSED : ROTOR_SEARCH_NO_MOVEMENT);
     }
 }
 
@@ -348,6 +406,9 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
     case ROTOR_SEARCH_VERIFY:
         verify_step(search, config, position);
         break;
+    case ROTOR_SEARCH_DIRECTION:
+        direction_step(search, config, position);
+        break;
     case ROTOR_SEARCH_TURN:
         turn_step(search, config, position);
         break;
@@ -359,8 +420,9 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
 bool rotor_search_drives(const rotor_search_t *search)
 {
     return search->phase == ROTOR_SEARCH_PULL || search->phase == ROTOR_SEARCH_DECELERATE ||
-           search->phase == ROTOR_SEARCH_VERIFY || search->phase == ROTOR_SEARCH_TURN ||
-           search->phase == ROTOR_SEARCH_HOLD || (search->phase == ROTOR_SEARCH_REST && search->current_decaying);
+           search->phase == ROTOR_SEARCH_VERIFY || search->phase == ROTOR_SEARCH_DIRECTION ||
+           search->phase == ROTOR_SEARCH_TURN || search->phase == ROTOR_SEARCH_HOLD ||
+           (search->phase == ROTOR_SEARCH_REST && search->current_decaying);
 }
 
 frac16_t rotor_search_angle(const rotor_search_t *search) { return search->vector; }

@@ -7,9 +7,13 @@
  * reverse order with negative current, which stops the shaft after about the same distance, independent of the inertia;
  * friction shortens it.
  *
- * VERIFY: at full current the vector is rotated to one side until the shaft follows, and back; if the shaft does not
- * follow, to the other side. The mean of both directions eliminates friction. The rotation also detects an end stop,
- * which twitches do not, and a reversed encoder, with which the shaft runs away from the vector.
+ * VERIFY: at full current the shaft comes to rest on the vector, whatever the error of the bisection (a heavy shaft
+ * swings first). Then the vector is rotated to one side until the shaft follows, and back; if the shaft does not follow,
+ * to the other side. The mean of both directions eliminates friction. The rotation also detects an end stop, which
+ * twitches do not. With a reversed encoder the bisection ends opposite to the rotor, and the shaft runs away.
+ *
+ * DIRECTION: the shaft has run away repeatedly, by a reversed encoder, a load or a disturbance. The vector is rotated by
+ * one and a half electrical turns: only an encoder that counts against it is reversed.
  *
  * TURN: if nothing moves at full current, the voltage during a wide rotation distinguishes a blocked shaft from a dead
  * encoder (rotor_follow.h).
@@ -23,7 +27,7 @@ typedef struct {
     frac32_t current_step; /* increase of Ip per slow tick, with the rotor up to a quarter turn off the vector */
     frac32_t current_slew; /* largest change of Ip per slow tick that the current controller follows */
     frac16_t current_limit; /* largest Ip, Q1.15 of full-scale current */
-    uint16_t hold_ticks; /* slow ticks at the largest Ip without a count before "no movement" */
+    uint16_t hold_ticks; /* slow ticks at the largest Ip without a count before "no movement"; one swing of the shaft */
     uint16_t rest_ticks; /* slow ticks of standstill after a twitch before its movement is measured */
     uint16_t move_counts; /* smallest movement of a twitch, counts; at least 2, because an edge dithers by one count */
     uint16_t verify_angle; /* VERIFY: largest rotation of the vector, 2^16 is one turn; below 2^15 */
@@ -42,11 +46,12 @@ typedef enum {
     ROTOR_SEARCH_VERIFY, /* rotation of the vector: the shaft must follow */
     ROTOR_SEARCH_TURN, /* no movement at full current: wide rotation, evaluated by the voltage */
     ROTOR_SEARCH_FOUND, /* done */
-    ROTOR_SEARCH_NO_MOVEMENT, /* failed: the rotor does not move, or not far enough */
+    ROTOR_SEARCH_NO_MOVEMENT, /* failed: the rotor does not move, not far enough, or does not stay on the vector */
     ROTOR_SEARCH_NO_COUNT, /* failed: the rotor moves, the encoder does not count */
     ROTOR_SEARCH_REVERSED, /* failed: the encoder counts in the wrong direction */
     ROTOR_SEARCH_LOW_CURRENT, /* failed: less than a quarter of the requested current flows */
     ROTOR_SEARCH_HOLD, /* search with a holding brake: rotor_hold.h */
+    ROTOR_SEARCH_DIRECTION, /* the shaft has run away: rotation of the vector by one turn, evaluated by the count */
 } rotor_search_phase_t;
 
 typedef struct {
@@ -73,6 +78,7 @@ typedef struct {
      * the check, then the angle of the vector at full current. Q1.15 of pi. */
     frac16_t lead_angle;
     bool verified; /* VERIFY: the shaft has returned; found as soon as it rests */
+    int32_t half_turns_sum; /* DIRECTION: positions of the second half turn minus those of the first, counts */
     uint16_t runaways; /* times that the shaft ran away from the assumed position */
     uint16_t verify_failures; /* times that the shaft did not follow in VERIFY, or moved only in TURN */
     uint32_t balance_angle; /* HOLD: angle of the vector at which the shaft keeps its position, 2^32 is one turn */

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shaft_model import SLOW, Shaft
 
-PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED, STARVED = range(10)
+PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED, STARVED, HOLD, DIRECTION = range(12)
 COUNT = 2.0 * math.pi / 4000  # mechanical [rad]
 FULL_CURRENT, FULL_VOLTAGE = 8.25, 24.2  # A, V
 INDUCTANCE = 0.4575e-3  # H
@@ -53,7 +53,7 @@ def search(
     positions = [shaft.counts]
     twitches = [0]
     before = 0.0
-    while s.phase < FOUND and len(currents) < timeout / SLOW:
+    while (s.phase < FOUND or s.phase == DIRECTION) and len(currents) < timeout / SLOW:
         driven = core.lib.rotor_search_drives(s)
         assert driven or s.phase == REST
         assert driven or s.current == 0
@@ -69,7 +69,7 @@ def search(
                 core.lib.rotor_search_add(s, config, measured, voltage)
         before = vector
         searches = s.searches
-        if s.phase not in (VERIFY, TURN):
+        if s.phase not in (VERIFY, TURN, DIRECTION):
             twitches[-1] = max(twitches[-1], abs(shaft.counts - s.origin))
         core.lib.rotor_search_step(s, config, shaft.counts)
         currents.append(current)
@@ -328,7 +328,23 @@ def test_encoder_that_counts_backwards_is_detected(core: Core, axis: int, inerti
         )
         result = search(core, shaft, axis)
         assert result.phase == REVERSED, degrees
-        assert result.seconds < 1.5
+        assert result.seconds < 2.6
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
+@pytest.mark.parametrize("inertia", [0.3, 3.0, 30.0])
+def test_encoder_that_counts_right_is_not_called_reversed(core: Core, inertia: float, friction: float) -> None:
+    """Also if the shaft swings longer than the search waits, or was turned during the bisection."""
+    for degrees in range(-165, 180, 30):
+        shaft = axis_shaft(0, degrees, inertia=inertia * 0.8e-5, friction=friction * 2e-3)
+
+        def disturb(s: Any, shaft: Shaft = shaft) -> None:
+            if s.phase == VERIFY and s.current == 0 and s.runaways < 2:
+                s.theta_m = s.vector = (s.theta_m + 32768 + 28000) % 65536 - 32768  # 154 degrees off
+
+        assert search(core, shaft, each_tick=disturb).phase not in (REVERSED, BLIND), degrees
+        shaft = axis_shaft(0, degrees, inertia=inertia * 0.8e-5, friction=friction * 2e-3)
+        assert search(core, shaft).phase not in (REVERSED, BLIND), degrees
 
 
 def test_missing_current_ends_in_starved(stepped: Stepped) -> None:
@@ -462,18 +478,41 @@ def test_a_shaft_that_follows_and_does_not_return_is_not_found(stepped: Stepped)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_shaft_that_leaves_its_vector_twice_ends_in_reversed(stepped: Stepped, sign: int) -> None:
-    """Departure by a quarter of the largest angle: once is an error of the search, twice is the encoder."""
-    s, config = stepped.state, stepped.config
+def test_the_direction_is_tested_after_the_second_runaway(stepped: Stepped, sign: int) -> None:
+    """Farther than a quarter of an electrical turn from the assumed position: once may be a disturbance."""
+    s = stepped.state
     stepped.to_verification()
-    far = config.verify_angle // 4 * 4000 // (65536 * 2)
+    far = 4000 // (4 * 2) - 1
     stepped.step(sign * far)
     assert s.phase == VERIFY
-    stepped.step(sign * (far + 1))
+    stepped.step(sign * (far + 2))
     assert (s.phase, s.runaways) == (REST, 1)
     s.phase, s.origin = VERIFY, 0
-    stepped.step(sign * (far + 1))
-    assert (s.phase, s.current) == (REVERSED, 0)
+    stepped.step(sign * (far + 2))
+    assert (s.phase, s.runaways) == (REST, 2)
+    stepped.until(DIRECTION, sign * (far + 2))
+
+
+@pytest.mark.parametrize(
+    ("counted", "phase"), [(-1.6, HELD), (-1.4, REVERSED), (-0.6, REVERSED), (-0.4, HELD), (0.0, HELD), (1.0, HELD)]
+)
+def test_only_an_encoder_that_counts_against_the_vector_is_reversed(
+    stepped: Stepped, counted: float, phase: int
+) -> None:
+    """`counted`: movement of the count over the rotation of the vector."""
+    s = stepped.state
+    stepped.to_verification()
+    s.runaways = 2
+    s.phase, s.current, s.current_decaying, s.timer = REST, 0, False, 0
+    stepped.until(DIRECTION)
+    stepped.to_full_current()
+    turned, before = 0.0, s.vector
+    while s.phase == DIRECTION:
+        stepped.step(round(counted * turned * 4000 / (65536 * 2)))
+        turned += (s.vector - before) % 65536
+        before = s.vector
+    assert turned == pytest.approx(1.5 * 65536, rel=0.01)
+    assert s.phase == phase
 
 
 @pytest.mark.parametrize("back", [False, True])
@@ -586,7 +625,7 @@ def test_external_displacement_causes_no_wrong_angle(core: Core, degrees: float,
 
     result = search(core, shaft, each_tick=knock)
     assert result.phase == FOUND
-    assert abs(result.error) < 0.5
+    assert abs(result.error) < 0.8  # the angle at which friction balances the torque, and a count
 
 
 def test_the_full_current_pulls_for_its_ticks(stepped: Stepped) -> None:

@@ -321,7 +321,7 @@ def test_demonstration_waits_for_a_lagging_twin() -> None:
 def test_fault_ends_the_demonstration_with_cause_and_remedy() -> None:
     client = FakeClient()
     client.fault_at = 6000
-    with pytest.raises(DemoError, match=r"axis1=FAULT.*UNDER_VOLTAGE: .*24 V supply"):
+    with pytest.raises(DemoError, match=r"axis1=FAULT.*UNDER_VOLTAGE: .*check the supply"):
         run(client)
 
 

@@ -143,7 +143,7 @@ def test_faults_come_with_cause_and_remedy() -> None:
     texts = convert.flag_texts(CATALOGUE, "faults", 0b10)
     assert len(texts) == 1
     assert texts[0].startswith("UNDER_VOLTAGE: ")
-    assert "24 V supply" in texts[0]
+    assert "check the supply and board.under_voltage" in texts[0]
     assert convert.flag_texts(CATALOGUE, "faults", 0) == []
 
 
