@@ -14,7 +14,7 @@ from servo_twin.board import Board, SimulationError
 __all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move", "record", "time_axis"]
 
 _BOOT = 0.03  # reset to STOP [s]
-_SEARCH_MAX = 6.0  # rotor search of both axes [s]
+SEARCH_MAX = 6.0  # rotor search of both axes [s]
 _STEP = 0.01  # polling interval of the state [s]
 
 
@@ -47,8 +47,15 @@ def keep_set_points(board: Board) -> None:
     board.write("param.command_timeout", 0.0)
 
 
-def enable(board: Board) -> NDArray[np.void]:
+def enable(board: Board, search_max: float = SEARCH_MAX) -> NDArray[np.void]:
     """Enable both axes of a new board and wait for SPIN; returns the recorded raw rows (slow ticks,).
+
+    Parameters
+    ----------
+    board : Board
+        New board.
+    search_max : float
+        Largest duration of the rotor search [s].
 
     Raises
     ------
@@ -60,7 +67,7 @@ def enable(board: Board) -> NDArray[np.void]:
     board.run(_BOOT)
     board.write("cmd.enable", [1] * AXES)
     logs: list[NDArray[np.void]] = []
-    for _ in range(round(_SEARCH_MAX / _STEP)):
+    for _ in range(round(search_max / _STEP)):
         logs.append(record(board, _STEP))
         last = logs[-1][-1]
         for axis in range(AXES):
@@ -70,7 +77,7 @@ def enable(board: Board) -> NDArray[np.void]:
         run = catalogue.enums["state_t"]["RUN"]
         if all(last[f"{axis_name(a)}.state"] == run and last[f"{axis_name(a)}.substate"] == spin for a in range(AXES)):
             return np.concatenate(logs)
-    raise SimulationError(f"rotor search not finished within {_SEARCH_MAX:g} s")
+    raise SimulationError(f"rotor search not finished within {search_max:g} s")
 
 
 def move(

@@ -37,7 +37,7 @@ def _entry(module: ModuleType) -> Experiment:
 _MODULES: Final = """
     anti_windup position rotor_search mt_speed path_filter stiffness low_speed bus_ripple two_axes braking feed_forward
     friction speed_observer soft_limits homing supervision field_weakening pins observer start_up minimum_speed
-    sensorless_load_step sensorless_stall winding plant_effects fault_matrix fault_campaign
+    sensorless_load_step sensorless_stall winding plant_effects fault_matrix fault_campaign motor_campaign
 """
 
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {

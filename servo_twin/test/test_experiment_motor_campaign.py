@@ -1,0 +1,79 @@
+"""Some motors of the motor campaign; the full campaign is an experiment of some minutes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from servo_msgs_py.tuning.acceptance import refusal_of
+from servo_twin.experiments.motor_campaign import (
+    ACCELERATION_TIME,
+    FLUX,
+    INDUCTANCE,
+    INERTIA,
+    POLE_PAIRS,
+    R_S,
+    TIME_CONSTANT,
+    VOLTAGE,
+    Result,
+    corrected,
+    data_sheet,
+    draw,
+    judge,
+    run_trial,
+)
+from servo_twin.experiments.rig import at_level
+from servo_twin.plant import PlantConfig
+
+SEED = 1
+DRIVEN = (1, 7, 24, 36)
+"""Accepted as they are, or after lower bandwidths; with 2 .. 21 pole pairs."""
+REFUSED = 34  # torque constant beyond the full scale of the contract
+
+
+def test_motors_are_within_the_ranges_and_depend_on_the_seed_only() -> None:
+    motors = [draw(SEED, number) for number in range(200)]
+    assert motors == [draw(SEED, number) for number in range(200)]
+    for motor in motors:
+        torque = 1.5 * motor.pole_pairs * motor.psi_m * motor.current
+        values = (
+            (motor.r_s, R_S),
+            (motor.l_d, INDUCTANCE),
+            (motor.pole_pairs, POLE_PAIRS),
+            (motor.inertia, INERTIA),
+            (motor.voltage, VOLTAGE),
+            (motor.l_d / motor.r_s, TIME_CONSTANT),
+            (motor.inertia * motor.no_load_speed / torque, ACCELERATION_TIME),
+            (motor.psi_m, FLUX),
+        )
+        assert all(low <= value <= high for value, (low, high) in values)
+        assert motor.psi_m * motor.pole_pairs * motor.no_load_speed == pytest.approx(motor.voltage / math.sqrt(3.0))
+    assert max(motor.pole_pairs for motor in motors) > 20
+    assert max(motor.inertia for motor in motors) > 100 * min(motor.inertia for motor in motors)
+
+
+def test_accepted_motors_enable_and_move() -> None:
+    with at_level("ideal"):
+        results = [run_trial(SEED, number, PlantConfig.load()) for number in DRIVEN]
+    assert [str(one) for one in results if one.refused or one.problem] == []
+    assert judge(results).agrees
+
+
+def test_a_refusal_that_no_entry_corrects_names_the_motor() -> None:
+    table, _, error = corrected(data_sheet(draw(SEED, REFUSED)))
+    assert error is not None
+    assert refusal_of(table) is not None
+    assert "correct motor.psi_m, motor.pole_pairs" in str(error)
+
+
+def test_a_drive_that_does_not_work_is_a_failure() -> None:
+    good = Result(0, draw(SEED, 0), (), "", contradicts=False, search=1.0, overshoot=2.0, duration=0.9)
+    for bad in (
+        dataclasses.replace(good, problem="no arrival"),
+        dataclasses.replace(good, refused="axis1.limits.current", contradicts=False),
+    ):
+        assert good != bad
+        assert bad.failed
+        assert not judge([good, bad]).agrees
+    assert judge([good, dataclasses.replace(good, refused="torque constant", contradicts=True)]).agrees
