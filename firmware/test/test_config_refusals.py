@@ -205,8 +205,7 @@ TOGETHER = [
     case("axis1.control.current_bandwidth = 8000", "16000 Hz"),
     # rotor search
     case("axis1.rotor_search.interval = 60", "torque"),
-    case("axis1.rotor_search.interval = 0.1", "0.18"),
-    case("axis1.rotor_search.move_counts = 250", "runs away"),
+    case("axis1.rotor_search.move_counts = 250", "the rest is for friction"),
     case("axis1.rotor_search.move_counts = 2", "dither"),
     case("axis1.rotor_search.time_max = 0.5", "8 vectors"),
     # without an encoder
@@ -215,7 +214,12 @@ TOGETHER = [
     case("axis1.observer.k_1 = -5200", "400 Hz specifies the same", **K, axis1__observer__bandwidth=400.0),
     # gains and scales out of range
     case("axis1: speed controller Kp = 2", "does not fit gain_t", axis1__motor__inertia=4e-4),
-    case("axis1: current controller q Kp = 214.", "does not fit gain_t", axis1__motor__l_q=0.1),
+    case(
+        "axis1: current controller q Kp = 214.",
+        "does not fit gain_t",
+        axis1__motor__l_q=0.1,
+        axis1__rotor_search__current=0.07,
+    ),
     case(
         "axis1: gains added in u_d = 314.",
         "one sum of a PI",
@@ -232,6 +236,7 @@ TOGETHER = [
         "axis1: slope of sensing.sign_current",
         "write axis1.sensing.sign_current = 0.0645 or more",
         axis1__sensing__sign_current=0.06,
+        board__dead_time=1e-8,
     ),
     case("axis1: omega_n Ts", "E40", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
     case("board.timer_clock: speed per count and clock", "32 bits", board__timer_clock=1.1e7),

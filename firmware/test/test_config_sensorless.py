@@ -216,15 +216,13 @@ def test_gains_unstable_with_another_winding_cause_a_warning() -> None:
     )
 
 
-def test_too_small_sign_current_causes_a_warning() -> None:
-    """24 V for 1 us change the current in 0.15 mH by 0.16 A."""
-    it = axis(axis1__motor__l_d=0.15e-3)
-    found = [finding for finding in findings(it, assess(it)) if "sign_current" in finding]
-    assert len(found) == 1
-    assert "change by 0.16 A" in found[0]
-    assert "write about 0.21" in found[0]
-    cured = axis(axis1__motor__l_d=0.15e-3, axis1__sensing__sign_current=0.21)
-    assert not any("sign_current" in finding for finding in findings(cured, assess(cured)))
+def test_the_sign_current_follows_the_inductance() -> None:
+    """24 V for 1 us change the current of 0.15 mH by 0.16 A."""
+    assert axis().constants["current_loop.dead_time.slope"] == axis(2).constants["current_loop.dead_time.slope"]
+    slope = axis(axis1__motor__l_d=0.15e-3).constants["current_loop.dead_time.slope"]
+    assert slope == round(256.0 * 8.25 / (1.25 * 24.0e-6 / 0.15e-3))
+    with pytest.raises(ConfigError, match=r"^axis1\.limits\.current .*changes by 4\.8 A during a dead time"):
+        axis(axis1__motor__l_d=5e-6)
 
 
 def test_a_resistance_error_above_the_back_emf_causes_a_warning() -> None:

@@ -49,8 +49,8 @@ def test_motor_unsuitable_for_the_observer_keeps_its_encoder(core: Core) -> None
     config = core.ffi.new("axis_config_t *", b.axis(0).config[0])
     config.observer.drive = 0
     b.axis(0).config = config
-    b.write_raw("param.feedback", [OBSERVER, ENCODER])
     b.to_stop()
+    b.axis(0).feedback_requested = OBSERVER  # a host cannot: the write is refused (test_app_ranges.py)
     b.slow(2)
     assert not b.axis(0).sensorless
 

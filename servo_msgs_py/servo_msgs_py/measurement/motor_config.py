@@ -11,6 +11,7 @@ from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.measurement.motor_values import Limits
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import parse
+from servo_msgs_py.tuning.rotor_search import SALIENT_USE
 from servo_msgs_py.tuning.tuned import Tuned, tuned
 
 SPEED_USE: Final = 0.8
@@ -18,9 +19,6 @@ SPEED_USE: Final = 0.8
 
 SPEED_RATIO: Final = 1.3
 """Over-speed threshold, relative to the largest set-point."""
-
-SALIENT_USE: Final = 0.5
-"""Current limit for salient rotors, relative to the current at which reluctance moves the rotor off the vector."""
 
 ACCELERATION_USE: Final = 0.5
 """Current for the speed ramp, relative to the current limit."""
@@ -111,11 +109,6 @@ def configured(
     move = search.get("move_counts", 3)
     if move * interval >= 0.25 * search.get("verify_angle", 24.0):
         own["rotor_search"]["verify_angle"] = min(4.2 * move * interval, 45.0)
-    if "sensing" not in own:
-        sign = 1.33 * limits.voltage * board["dead_time"] / min(motor["l_d"], motor["l_q"])
-        minimum = {**defaults.get("sensing", {})}.get("sign_current", 0.08)
-        if sign > minimum:
-            own["sensing"] = {"sign_current": min(sign, 0.5 * current)}
     for group, entries in groups.items():
         own[group] = {**own.get(group, {}), **entries}
     return table

@@ -7,8 +7,10 @@ import math
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.constants import SIGN_USE, dead_time_current
 from servo_msgs_py.tuning.errors import either, exactly, higher, lower
 from servo_msgs_py.tuning.field_weakening import idle_speed
+from servo_msgs_py.tuning.rotor_search import check_rotor_search
 from servo_msgs_py.tuning.sensorless_checks import check_observer_entries
 from servo_msgs_py.tuning.winding import check_winding
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
@@ -31,7 +33,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _axis(axis)
         _voltage(axis, board)
         _order(axis, board)
-        _search(axis)
+        check_rotor_search(axis, board)
         _stops(axis, configuration.scales)
         check_winding(axis)
         check_observer_entries(axis)
@@ -97,6 +99,14 @@ def _axis(axis: Axis) -> None:
 
 
 def _voltage(axis: Axis, board: Board) -> None:
+    change = dead_time_current(axis, board)
+    if change > SIGN_USE * axis("limits.current"):
+        reason = (
+            f"the current of this winding changes by {change:.3g} A during a dead time, more than {SIGN_USE:g} of it: "
+            "its direction is not known"
+        )
+        advice = "add inductance to the motor cable"
+        raise axis.refused("limits.current", reason, higher("limits.current"), either("motor.l_d"), advice)
     maximum = idle_speed(axis, board)
     if axis("limits.speed") > maximum:
         reason = f"above the no-load speed of {maximum:.4g} rad/s at {board('nominal_voltage'):g} V"
@@ -119,32 +129,6 @@ def _order(axis: Axis, board: Board) -> None:
     if 2.0 * axis("control.current_bandwidth") >= board("pwm_frequency"):
         reason = f"too high for the sampling rate of {board('pwm_frequency'):g} Hz"
         raise axis.refused("control.current_bandwidth", reason, lower("control.current_bandwidth"))
-
-
-def _search(axis: Axis) -> None:
-    """Check current, resolution and duration of the rotor search."""
-    maximum = axis("limits.current")
-    if axis("rotor_search.current") > maximum:
-        reason = f"above the current limit of {maximum:g} A (limits.current)"
-        raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"))
-    count = 360.0 * axis("motor.pole_pairs") / axis.counts
-    if not count <= axis("rotor_search.interval") < 60.0:
-        reason = f"not at least one count ({count:.3g} deg) and below 60 deg, otherwise the torque is uncertain"
-        raise axis.refused("rotor_search.interval", reason, either("rotor_search.interval"))
-    if axis("rotor_search.move_counts") < 3.0:
-        reason = "below 3: dither at an encoder edge gives up to 2 counts without rotation"
-        raise axis.refused("rotor_search.move_counts", reason, higher("rotor_search.move_counts"))
-    if axis("rotor_search.move_counts") * count >= 0.25 * axis("rotor_search.verify_angle"):
-        reason = "not below a quarter of rotor_search.verify_angle, the criterion of a shaft that runs away"
-        changes = lower("rotor_search.move_counts"), higher("rotor_search.verify_angle")
-        raise axis.refused("rotor_search.move_counts", reason, *changes)
-    halvings = math.ceil(math.log2(360.0 / axis("rotor_search.interval")))
-    longest = halvings * sum(axis(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest"))
-    longest += 4.0 * axis("rotor_search.verify_time")  # to one side, to the other side, and back
-    if axis("rotor_search.time_max") < longest:
-        reason = f"{halvings} vectors and the verification take up to {longest:.3g} s"
-        shorter = (lower(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest", "verify"))
-        raise axis.refused("rotor_search.time_max", reason, higher("rotor_search.time_max"), *shorter)
 
 
 def _bus(configuration: Configuration) -> None:

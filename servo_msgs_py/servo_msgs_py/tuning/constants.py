@@ -7,11 +7,12 @@ from typing import Final
 
 from servo_msgs_py.tuning.braking import pin_constants, stop_constants
 from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configuration
-from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
+from servo_msgs_py.tuning.conversion import TICKS, AxisConstants, Converter, Field, Switches, pi_raw
 from servo_msgs_py.tuning.errors import either, lower
 from servo_msgs_py.tuning.field_weakening import field_weakening_constants
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
 from servo_msgs_py.tuning.gains import Gains
+from servo_msgs_py.tuning.rotor_search import RotorSearch
 from servo_msgs_py.tuning.winding import winding_constants
 
 ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
@@ -28,8 +29,14 @@ TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
 TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
 SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
 
+SIGN_FACTOR: Final = 1.25
+"""Least current with a certain direction, over the change of the current during a dead time."""
+SIGN_USE: Final = 0.5
+"""Largest one that is chosen for a winding of low inductance, over the current limit."""
+
 _LINES: Final = "correct encoder.lines"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
+_SWING: Final = "raise rotor_search.current, or correct motor.inertia"
 _SLOWER_CURRENT: Final = lower("control.current_bandwidth")
 _SLOWER: Final = (either("control.speed_bandwidth"), "correct motor.inertia or motor.psi_m")
 
@@ -74,7 +81,7 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
     u_q = (gains.current_q.kp + omega_e * axis("motor.l_d")) * admittance + emf
     to.of(PI_SUM, "gains added in u_q", u_q, *slower)
     sign = to.of(
-        INT16_Q8, "slope of sensing.sign_current", s.i / axis("sensing.sign_current"), either("sensing.sign_current")
+        INT16_Q8, "slope of sensing.sign_current", s.i / sign_current(axis, board), either("sensing.sign_current")
     )
     return {
         "current_loop.d": pi_raw(axis, "current controller d", gains.current_d, admittance, *slower),
@@ -96,8 +103,12 @@ def _sensing(to: Converter) -> dict[str, Field]:
     steps = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
     # the firmware multiplies the ratio by up to half a turn of counts, in 32 bits
     ratio = Format("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
+    per_rad = counts / (2.0 * math.pi)
+    torque = (
+        axis.torque_constant * s.i / axis("motor.inertia") * board.tick**2 * per_rad
+    )  # used with a holding brake, too
     per_ratio = board("timer_clock") * 2.0 * math.pi / counts / s.speed
-    search = "rotor_search"
+    search, found = "rotor_search", RotorSearch.of(axis, board)
     return {
         "feedback": FEEDBACKS.index(axis.feedback),
         "encoder.counts": to.at(UINT16, "encoder.lines", 4.0),
@@ -105,6 +116,7 @@ def _sensing(to: Converter) -> dict[str, Field]:
         "encoder.angle_per_count": to.of(ANGLE32, "angle per count", 1.0 / counts, _LINES),
         "speed_observer.speed_per_step": to.of(RECIPROCAL, "speed per step", 1.0 / steps, _LINES),
         "speed_observer.step_per_speed": to.of(INT32_Q16, "step per speed", steps, _LINES),
+        "speed_observer.acceleration_per_current": to.of(OBSERVER, "acceleration of the observer", torque, _HOLD),
         "mt_speed.speed_per_ratio": ratio.raw(
             "board.timer_clock: speed per count and clock", per_ratio, either("board.timer_clock")
         ),
@@ -120,18 +132,20 @@ def _sensing(to: Converter) -> dict[str, Field]:
             _SLOWER_CURRENT,
         ),
         f"{search}.current_limit": to.at(FRAC16, "rotor_search.current", 1.0 / s.i),
-        f"{search}.hold_ticks": to.ticks("rotor_search.hold_time"),
+        f"{search}.hold_ticks": to.of(TICKS, "slow ticks of the hold", found.hold / board.tick, _SWING),
         f"{search}.rest_ticks": to.ticks("rotor_search.rest_time"),
         f"{search}.move_counts": to.at(UINT16, "rotor_search.move_counts", 1.0),
         f"{search}.verify_angle": to.at(SEARCH_TURN, "rotor_search.verify_angle", 65536.0 / 360.0),
         f"{search}.verify_step": to.of(
             TURN_STEP,
             "rotation of the vector per slow tick in the verification",
-            axis("rotor_search.verify_angle") / 360.0 * board.tick / axis("rotor_search.verify_time"),
+            axis("rotor_search.verify_angle") / 360.0 * board.tick / found.verify,
             either("rotor_search.verify_time"),
         ),
         f"{search}.angle_per_count": to.of(INT32_Q16, "search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
-        f"{search}.interval": to.at(SEARCH_ANGLE, "rotor_search.interval", 1.0 / 360.0),
+        f"{search}.interval": to.of(
+            SEARCH_ANGLE, "interval of the search", found.interval / 360.0, "fewer motor.pole_pairs"
+        ),
         **_follow(to),
     }
 
@@ -157,7 +171,9 @@ def _follow(to: Converter) -> dict[str, Field]:
         f"{follow}.step": to.of(
             TURN_STEP, "rotation of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
         ),
-        f"{follow}.inductive": to.of(FRAC16, "inductive voltage of the rotating vector", inductive, slower),
+        f"{follow}.inductive": to.of(
+            FRAC16, "inductive voltage of the rotating vector", inductive if inductive > FRAC16.lsb else 0.0, slower
+        ),
         f"{follow}.flux_min": to.of(FLUX, "flux of a following rotor", flux, "correct motor.psi_m"),
     }
 
@@ -170,17 +186,14 @@ def speed_observer_constants(to: Converter) -> dict[str, Field]:
     ConfigError
         If the bandwidth is out of range, or a value does not fit its format.
     """
-    axis, tick, s = to.axis, to.board.tick, to.s
+    axis, tick = to.axis, to.board.tick
     minimum, maximum = axis("control.position_gain") / math.pi, 0.5 / tick
     if not minimum <= axis("control.observer_bandwidth") < maximum:
         reason = f"not within {minimum:.4g} .. {maximum:.4g} Hz (twice the position loop .. half the slow loop rate)"
         raise axis.refused("control.observer_bandwidth", reason, either("control.observer_bandwidth"))
-    per_rad = axis.counts / (2.0 * math.pi)
-    torque = axis.torque_constant * s.i / axis("motor.inertia") * tick**2 * per_rad
     p = math.exp(-2.0 * math.pi * axis("control.observer_bandwidth") * tick)
     slower = either("control.observer_bandwidth")
     return {
-        "speed_observer.acceleration_per_current": to.of(OBSERVER, "acceleration of the observer", torque, _HOLD),
         "speed_observer.l_position": to.of(GAIN, "observer, position", 1.0 - p**3, slower),
         "speed_observer.l_speed": to.of(GAIN, "observer, speed", 1.5 * (1.0 - p) ** 2 * (1.0 + p), slower),
         "speed_observer.l_acceleration": to.of(GAIN, "observer, acceleration", (1.0 - p) ** 3, slower),
@@ -257,7 +270,6 @@ def _supervision(to: Converter) -> dict[str, Field]:
         "shaft.runaway_ticks_max": "timing.runaway_max",
         "rest_ticks_max": "timing.rest_max",
         "shaft.stall_ticks_max": "timing.stall_max",
-        "search_ticks_max": "rotor_search.time_max",
         "stop_ticks_max": "timing.stop_max",
     }
     return {
@@ -265,6 +277,9 @@ def _supervision(to: Converter) -> dict[str, Field]:
         "offset_duty_min": to.at(FRAC16, "sensing.offset_duty", 1.0),
         "shaft.runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
         "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
+        "search_ticks_max": to.of(
+            TICKS, "slow ticks of the search", RotorSearch.of(to.axis, to.board).time_max / to.board.tick, _SWING
+        ),
         **{field: to.ticks(path) for field, path in times.items()},
     }
 
@@ -280,10 +295,21 @@ def _home(to: Converter) -> dict[str, Field]:
     }
 
 
+def dead_time_current(axis: Axis, board: Board) -> float:
+    """Change of the current during a dead time, in which only the bus voltage drives it [A]."""
+    return board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
+
+
+def sign_current(axis: Axis, board: Board) -> float:
+    """Phase current above which its direction is certain: the entry, or more for a winding of low inductance [A]."""
+    least = min(SIGN_FACTOR * dead_time_current(axis, board), SIGN_USE * axis("limits.current"))
+    return max(axis("sensing.sign_current"), least)
+
+
 def _monitor_constants(to: Converter) -> dict[str, Field]:
     """Thresholds of the monitors of phases, current sensing, encoder and heat sink."""
     axis, board, s = to.axis, to.board, to.s
-    sign = axis("sensing.sign_current") / s.i
+    sign = sign_current(axis, board) / s.i
     dead = 0.5 * board("dead_time") / board.period * board("nominal_voltage")
     floor = max(board("switch_drop") + dead, 0.5) / s.u_s
     turn = s.u_s / axis("motor.psi_m") * board.tick / (2.0 * math.pi)

@@ -9,6 +9,7 @@ from typing import Final
 from servo_msgs_py.tuning.assessment import Assessment
 from servo_msgs_py.tuning.field_weakening import field_weakening_loops
 from servo_msgs_py.tuning.optional import PARTS
+from servo_msgs_py.tuning.rotor_search import RotorSearch
 from servo_msgs_py.tuning.sensorless_constants import needs_observer
 from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
 from servo_msgs_py.tuning.tuned import Tuned
@@ -30,9 +31,6 @@ MOVE_OVERSHOOT_MAX: Final = 2.0
 
 ROUNDING_MAX: Final = 0.01
 """Largest relative error of a gain by rounding to an integer."""
-
-SIGN_FACTOR: Final = 1.33
-"""Recommended `sensing.sign_current` over the change of the current in a dead time, used in the remedy."""
 
 START_UP_TORQUE_MAX: Final = 0.8
 """Largest torque of ramp and friction, as a fraction of the torque of the start-up current."""
@@ -62,12 +60,30 @@ switching plant 0.019 V were hidden by switch drops and dead time, 0.036 V were 
 FOLLOW_VOLTAGE_RECOMMENDED: Final = 0.075
 """Recommended voltage, used in the remedy [V]; the motors of the reference design have 0.087 V or more."""
 
+SEARCH_SWINGS_MIN: Final = 2.0
+"""Smallest duration of the rotation in the verification of the rotor search, in periods of the swing of the shaft."""
+
 _ENTRIES: Final = {
     "current d": "control.current_bandwidth",
     "current q": "control.current_bandwidth",
     "speed": "control.speed_bandwidth",
     "speed, observer": "control.speed_bandwidth",
 }
+
+
+class Finding(str):
+    """Text of a warning."""
+
+    to_lower: str = (
+        ""  # entry that removes the warning if it is lowered, such as axis1.control.speed_bandwidth; or empty
+    )
+
+
+def _lower(design: Tuned, path: str, text: str) -> Finding:
+    """Warning that ends with the remedy."""
+    found = Finding(text)
+    found.to_lower = f"{design.axis.name}.{path}"
+    return found
 
 
 def findings(design: Tuned, figures: Assessment) -> list[str]:
@@ -79,7 +95,6 @@ def findings(design: Tuned, figures: Assessment) -> list[str]:
         *_reach(design, figures),
         *_field_weakening(design),
         *_rounding(design),
-        *_sign(design),
         *_follows(design),
         *_unusable(design),
         *_sensorless(design, figures),
@@ -94,29 +109,35 @@ def _margins(design: Tuned, figures: Assessment) -> Iterator[str]:
     for loop in figures.loops:
         if loop.name not in _ENTRIES or not loop.in_force:
             continue
-        text = f"{_entry(design, _ENTRIES[loop.name])}: the {loop.name} loop has a"
+        path = _ENTRIES[loop.name]
+        text = f"{_entry(design, path)}: the {loop.name} loop has a"
         phase, gain = loop.margins.phase, loop.margins.gain
         if phase is not None and phase < PHASE_MIN:
-            yield f"{text} phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}; lower it"
+            yield _lower(design, path, f"{text} phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}; lower it")
         if gain is not None and gain < GAIN_MIN:
-            yield f"{text} gain margin of {gain:.2f}, less than {GAIN_MIN:g}; lower it"
+            yield _lower(design, path, f"{text} gain margin of {gain:.2f}, less than {GAIN_MIN:g}; lower it")
 
 
 def _inertias(design: Tuned, figures: Assessment) -> Iterator[str]:
     for case in figures.inertias:
         if not case.stable and case.observed == design.observed:
             entry = _entry(design, "motor.inertia")
-            yield f"{entry}: unstable with {case.factor:g} times this inertia; lower control.speed_bandwidth"
+            text = f"{entry}: unstable with {case.factor:g} times this inertia; lower control.speed_bandwidth"
+            yield _lower(design, "control.speed_bandwidth", text)
 
 
 def _position(design: Tuned, figures: Assessment) -> Iterator[str]:
-    entry, rule, arrival = _entry(design, "control.position_gain"), figures.rule, figures.arrival
+    path, rule, arrival = "control.position_gain", figures.rule, figures.arrival
+    entry = _entry(design, path)
     if rule.k_v_t > K_V_T_MAX:
-        yield f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MAX:g}, the shaft may overshoot; lower it"
+        text = f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MAX:g}, the shaft may overshoot; lower it"
+        yield _lower(design, path, text)
     if arrival.bare > OVERSHOOT_MAX:
-        yield f"{entry}: a step without shaping overshoots by {100.0 * arrival.bare:.1f} %; lower it"
+        text = f"{entry}: a step without shaping overshoots by {100.0 * arrival.bare:.1f} %; lower it"
+        yield _lower(design, path, text)
     if arrival.shaped > MOVE_OVERSHOOT_MAX:
-        yield f"{entry}: a shaped move overshoots by {arrival.shaped:.1f} counts; lower it or control.path_current_use"
+        text = f"{entry}: a shaped move overshoots by {arrival.shaped:.1f} counts; lower it or control.path_current_use"
+        yield _lower(design, path, text)
 
 
 def _reach(design: Tuned, figures: Assessment) -> Iterator[str]:
@@ -128,7 +149,7 @@ def _reach(design: Tuned, figures: Assessment) -> Iterator[str]:
     for path, current in required.items():
         if current + reach.friction_current > limit:
             sums = f"requires {current:.2f} A, with friction {current + reach.friction_current:.2f} A"
-            yield f"{_entry(design, path)}: {sums}; the limit is {limit:g} A; lower it"
+            yield _lower(design, path, f"{_entry(design, path)}: {sums}; the limit is {limit:g} A; lower it")
 
 
 def _field_weakening(design: Tuned) -> Iterator[str]:
@@ -149,17 +170,13 @@ def _rounding(design: Tuned) -> Iterator[str]:
             yield f"{value}: rounding to an integer changes it by {100.0 * lost:.0f} %; choose a larger value"
 
 
-def _sign(design: Tuned) -> Iterator[str]:
-    """Warn if a current can reverse during the dead time, in which only the bus voltage drives it."""
-    axis, board = design.axis, design.board
-    minimum = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
-    if axis("sensing.sign_current") < minimum:
-        text = f"the current of this winding can change by {minimum:.3g} A during a dead time and reverse"
-        yield f"{_entry(design, 'sensing.sign_current')}: {text}; write about {SIGN_FACTOR * minimum:.2g}"
-
-
 def _follows(design: Tuned) -> Iterator[str]:
     axis = design.axis
+    search = RotorSearch.of(axis, design.board)
+    if search.verify < SEARCH_SWINGS_MIN * search.swing:
+        text = f"a swing of the shaft about the vector takes {search.swing:.3g} s, too slow for a rotation in"
+        text = f"{text} {search.verify:.3g} s"
+        yield f"{_entry(design, 'rotor_search.current')}: {text}; raise it, or rotor_search.verify_angle"
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * math.radians(axis("rotor_search.turn_angle"))
     seen = flux / axis("rotor_search.turn_time")
     if seen < FOLLOW_VOLTAGE_MIN:

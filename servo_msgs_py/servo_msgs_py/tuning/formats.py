@@ -47,6 +47,11 @@ class Format:
             raise refused(entry, shown, f"{result}does not fit {self.name} ({low:g} .. {high:g})", *remedies)
         return raw
 
+    @property
+    def lsb(self) -> float:
+        """Value of the smallest step."""
+        return math.ldexp(1.0, -self.fraction_bits)
+
     def value(self, raw: int) -> float:
         """Value of a raw number, as a fraction of full scale."""
         return math.ldexp(raw, -self.fraction_bits)

@@ -39,7 +39,7 @@ class OptionalPart:
         return fields
 
 
-_OBSERVER_GAINS: Final = ("acceleration_per_current", "l_position", "l_speed", "l_acceleration")
+_OBSERVER_GAINS: Final = ("l_position", "l_speed", "l_acceleration")
 
 SENSORLESS: Final = "sensorless"
 SPEED_OBSERVER: Final = "speed observer"

@@ -254,7 +254,9 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "close_time": Entry("s", "time until the holding brake holds", zero=True),
     },
     "sensing": {
-        "sign_current": Entry("A", "phase current above which its direction is certain"),
+        "sign_current": Entry(
+            "A", "phase current above which its direction is certain; more is used for a winding of low inductance"
+        ),
         "offset_tolerance": Entry("", "largest distance of an offset from mid-scale [ADC codes]", whole=True),
         "offset_duty": Entry("", "shortest high-side duty for a valid offset sample", maximum=1.0),
     },
