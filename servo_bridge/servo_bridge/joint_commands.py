@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.answers import TICKET, Answer, Phase
 from servo_msgs_py.runtime.qos import command_qos
 
-from servo_bridge.admission import GAP, Admission, NotJoined, Place
+from servo_bridge.admission import Admission, NotJoined, Place
 from servo_bridge.answers import Answers
 from servo_bridge.command_context import CommandContext
 from servo_bridge.set_points import JointSetPoint, Rejected, from_joint_command, requests_of
@@ -56,6 +56,7 @@ class JointCommands:
         self._offset_ns = offset_ns
         self._wall_ns = wall_ns
         self._admission = Admission(_SOURCE)
+        self._arrivals_ns: dict[int, int] = {}  # of the newest message of each axis, steady clock [ns]
         context.node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
 
     def advance(self) -> None:
@@ -64,7 +65,8 @@ class JointCommands:
         due = self._admission.advance(now_ns * 1e-9)
         for axis in list(due):
             holder = self._context.arbiter.sources.holder(axis)
-            if holder is not None and holder.topic != _SOURCE and self._context.arbiter.sources.age(axis) < GAP:
+            waited = (now_ns - self._arrivals_ns[axis]) * 1e-9
+            if holder is not None and holder.topic != _SOURCE and self._context.arbiter.sources.age(axis) < waited:
                 joint, newer = self._context.joints[axis], holder.topic
                 self._context.reject(_SOURCE, Rejected(f"{_SOURCE}: {joint}: a set-point on {newer} was newer"))
                 del due[axis]
@@ -97,6 +99,7 @@ class JointCommands:
         points = from_joint_command(_SOURCE, context.joints, message.name, arrays, self._interfaces)
         if not points:
             return None
+        self._arrivals_ns |= dict.fromkeys(points, now_ns)
         arrival = self._board_time(now_ns)
         stamp = self._stamp(message, now_ns)
         try:

@@ -12,6 +12,7 @@ from bridge_rig import SPIN, Rig
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
+from servo_msgs_py.answers import new_ticket
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.timed_points import TimedPoint, decode_points
 from servo_msgs_py.units import PERIOD_NS
@@ -201,3 +202,19 @@ def test_a_single_position_is_executed_and_a_newer_one_of_another_topic_replaces
     ready.link.written.clear()
     assert until_written(ready, "cmd.position") == [(0, 1)]
     ready.until(lambda: any("axis2: a set-point on axis2/position was newer" in text for text in ready.rejections()))
+
+
+def test_a_position_with_a_ticket_is_executed_beside_a_controller_that_is_refused(ready: Rig) -> None:
+    put(ready, 5.0, 5.0)
+    sample(ready)
+    ready.executor.spin_once(timeout_sec=0.0)
+    for _ in range(20):
+        send(ready, [0.0, 0.0])
+    assert ready.link.written == []
+    command = JointState(name=["axis2"], position=[6.0])
+    command.header.frame_id = new_ticket("test")
+    ready.joint_commands.publish(command)
+    for _ in range(40):
+        send(ready, [0.0, 0.0])
+    raw = (round(6.0 / CATALOGUE["cmd.position"].lsb),)
+    assert written(ready, "cmd.position") == [(1, raw)]
