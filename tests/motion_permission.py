@@ -103,6 +103,7 @@ class Permission:
         self.violations: list[Violation] = []  # the first one of each joint
         self._limits, self._ratios = limits, ratios
         self._ranges = [(-math.inf, math.inf)] * AXES  # permitted positions [rad]
+        self._bounds = list(limits)  # limits that hold now: a joint outside may return, a velocity has none [rad]
         self._speeds = [math.inf] * AXES  # permitted speeds [rad/s]
 
     def renew(self, motion: Motion, *, search: bool = False) -> None:
@@ -119,6 +120,9 @@ class Permission:
                 low, high = min(low, min(ends) - command.reach[axis]), max(high, max(ends) + command.reach[axis])
                 speeds.append(SPEED_FACTOR * command.speeds[axis] + REST_SPEED)
             self._ranges[axis], self._speeds[axis] = (low, high), max(speeds)
+            lowest, highest = self._limits[axis]
+            endless = not math.isfinite(low) or not math.isfinite(high)
+            self._bounds[axis] = (low, high) if endless else (min(lowest, position), max(highest, position))
 
     def begin(self, command: Command, motion: Motion) -> None:
         """Permit a command, in addition to the valid ones."""
@@ -157,7 +161,7 @@ class Permission:
     def check(self, motion: Motion) -> None:
         """Record a violation."""
         for axis, (position, velocity) in enumerate(zip(motion.positions, motion.velocities, strict=True)):
-            (low, high), (lowest, highest) = self._ranges[axis], self._limits[axis]
+            (low, high), (lowest, highest) = self._ranges[axis], self._bounds[axis]
             beyond = max(low - position, position - high)
             text = ""
             if not lowest - RESERVE <= position <= highest + RESERVE:

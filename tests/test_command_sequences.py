@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
-from command_sequences import EVENTS, SETUP_VALUES, STEP_VALUES, CommandSequence, Setup, Step
+from command_sequences import EVENTS, GOAL_ERROR, SETUP_VALUES, STEP_VALUES, CommandSequence, Setup, Step
 from controllers.controllers import SUCCESSFUL
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -93,6 +93,13 @@ def test_velocity_controller_turns_the_joint() -> None:
     before, after = sequence.places[-2:]
     assert abs(after[0] - before[0] - 6.0) < 0.8
     assert abs(after[1] - before[1] + 6.0) < 0.8
+
+
+def test_move_beside_an_active_controller_is_carried_out() -> None:
+    sequence = CommandSequence(Setup(), [Step("move", 1.5, distance=2.0)])
+    assert not sequence.run(), sequence.log
+    before, after = sequence.places[-2:]
+    assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([-2.0, 2.0], abs=GOAL_ERROR)
 
 
 def test_motion_without_a_command_is_found() -> None:
