@@ -361,8 +361,8 @@ def test_identification_is_refused_with_an_enabled_axis(axis: int, reason: str) 
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [
-        (dataclasses.replace(LIMITS, turns=2.0), "raise --turns-max"),
-        (dataclasses.replace(LIMITS, speed=0.01), "raise --speed-max"),
+        (dataclasses.replace(LIMITS, turns=2.0), "write --turns-max 3 or more"),
+        (dataclasses.replace(LIMITS, speed=0.01), "write --speed-max 5 or more"),
     ],
 )
 def test_too_small_range_is_refused_before_any_motion(limits: Limits, reason: str) -> None:

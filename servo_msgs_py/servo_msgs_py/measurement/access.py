@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from servo_msgs_py.axis_config_transfer import AppliedBlocks, BlockMemory, send_block, take_blocks
 from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
+from servo_msgs_py.tuning.errors import Remedy
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 RECORDER_BYTES: Final = 7680
@@ -30,7 +31,20 @@ _ELEMENT: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<index>\d+)\])?")
 
 
 class MeasurementError(RuntimeError):
-    """The measurement is not possible or has no result; the message contains cause and remedy."""
+    """The measurement is not possible or has no result; the message contains cause and remedy.
+
+    Parameters
+    ----------
+    text : str
+        Cause, and what is not a value of an option.
+    *remedies : Remedy
+        Changes of options; each of them alone is accepted.
+    """
+
+    def __init__(self, text: str, *remedies: Remedy) -> None:
+        changes = ", or ".join(one.text() for one in remedies)
+        super().__init__(f"{text}: {changes}" if changes else text)
+        self.remedies = remedies
 
 
 @dataclass(frozen=True)
@@ -182,12 +196,13 @@ def send_configuration(access: BoardAccess, blocks: Mapping[int, Mapping[str, in
     return take_blocks(access, sorted(blocks), wait)
 
 
-def refuse_faults(access: BoardAccess, axis: int) -> None:
-    """Raise a `MeasurementError` with cause and remedy if an axis has a fault."""
+def refuse_faults(access: BoardAccess, axis: int, *accepted: str) -> None:
+    """Raise a `MeasurementError` with cause and remedy if an axis has a fault, except for `accepted` ones."""
     name = f"{axis_name(axis)}.faults"
     flags = access.catalogue[name].flags
     assert flags is not None
-    faults = access.catalogue.active(flags, int(access.read(name)[0]))
+    active = access.catalogue.active(flags, int(access.read(name)[0]))
+    faults = [fault for fault in active if fault.name not in accepted]
     if faults:
         text = "; ".join(f"{fault.name}: {fault.cause}. {fault.remedy}".rstrip(". ") for fault in faults)
         raise MeasurementError(f"{axis_name(axis)} has a fault. {text}")

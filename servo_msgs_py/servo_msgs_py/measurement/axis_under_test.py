@@ -205,12 +205,11 @@ class AxisUnderTest:
 
     def wait_for_rest(self) -> None:
         """Wait until the shaft is at rest."""
-        self.until(
-            self.is_at_rest,
-            _REST_MAX,
-            "does not come to rest",
-            ": an external torque moves the shaft",
-            refuse_on_fault=False,
+        if self.reached(self.is_at_rest, _REST_MAX, refuse_on_fault=False):
+            return
+        self.refuse_limits("REGENERATION")
+        raise MeasurementError(
+            f"{self.name} does not come to rest within {_REST_MAX:g} s: an external torque moves the shaft"
         )
 
     def hold(self) -> None:

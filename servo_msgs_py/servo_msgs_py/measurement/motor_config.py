@@ -9,7 +9,8 @@ from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.measurement.motor_values import Limits
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.braking import BUS_END
+from servo_msgs_py.tuning.errors import ConfigError, Remedy, with_value
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.rotor_search import SALIENT_USE
 from servo_msgs_py.tuning.tuned import Tuned, tuned
@@ -23,6 +24,9 @@ SPEED_RATIO: Final = 1.3
 ACCELERATION_USE: Final = 0.5
 """Current for the speed ramp, relative to the current limit."""
 
+SUPPLY_END: Final = BUS_END * 36.3
+"""Largest bus voltage that the converter of the board can measure [V]."""
+
 PATH_OMEGA_MAX: Final = 0.2
 """Largest omega_n Ts of the path filter; its format ends at 0.25."""
 
@@ -33,7 +37,16 @@ SPEED_BANDWIDTHS: Final = (75.0, 60.0, 45.0, 30.0, 20.0, 12.0, 8.0, 5.0)
 
 SLOW_LOOPS_SPEED_BANDWIDTH: Final = 12.0  # [Hz]
 SLOW_LOOPS_CURRENT_BANDWIDTH: Final = 300.0  # [Hz]
+VERIFY_MOVES: Final = 7.0  # angle of the verification of a rotor search, relative to the smallest movement
 PHASE_MIN: Final = 50.0  # of the speed loop [degrees]
+CORRECTIONS_MAX: Final = 8  # of entries that follow from the motor
+_CHOSEN: Final = (
+    "limits.current",
+    "limits.speed",
+    "control.current_bandwidth",
+    "control.speed_bandwidth",
+    "control.position_gain",
+)
 
 
 def configured(
@@ -55,7 +68,7 @@ def configured(
     """
     table = copy.deepcopy(dict(base))
     board, own = table["board"], table.setdefault(axis_name(axis), {})
-    board["nominal_voltage"] = limits.voltage
+    board.update(_supply(board, limits.voltage))
     own.pop("exact", None)  # raw numbers of another motor
     for group in (own, table.get("defaults", {})):
         group.get("winding", {}).pop("thermal_resistance", None)  # derived from the rated current
@@ -85,7 +98,7 @@ def configured(
         **own.get("limits", {}),
         "current": current,
         "speed": speed,
-        "acceleration": min(max(acceleration, 10.0), 2e5),
+        "acceleration": min(max(acceleration, 10.0), 5e4),
         "over_speed": SPEED_RATIO * speed,
     }
     defaults = table.get("defaults", {})
@@ -106,12 +119,37 @@ def configured(
     interval = math.degrees(2.0 * math.pi * pairs / counts)
     if interval > search.get("interval", 1.41):
         own["rotor_search"]["interval"] = 1.02 * interval
-    move = search.get("move_counts", 3)
-    if move * interval >= 0.25 * search.get("verify_angle", 24.0):
-        own["rotor_search"]["verify_angle"] = min(4.2 * move * interval, 45.0)
+    # a rotor that swings by a few counts about the vector must not count as running away, above a quarter of the angle
+    angle = max(search.get("verify_angle", 24.0), min(VERIFY_MOVES * search.get("move_counts", 3) * interval, 45.0))
+    own["rotor_search"]["verify_angle"] = _rounded(angle)
     for group, entries in groups.items():
         own[group] = {**own.get(group, {}), **entries}
     return table
+
+
+def _supply(board: Mapping[str, Any], voltage: float) -> dict[str, Any]:
+    """Entries of [board] with the voltages of another supply [V].
+
+    The under-voltage threshold is scaled. The upper thresholds are ratings of the hardware and remain, unless the
+    supply is higher than before: then they move towards the end of the range of the converter.
+    """
+    before = float(board["nominal_voltage"])
+
+    def moved(threshold: float) -> float:
+        if voltage <= before:
+            return threshold
+        return SUPPLY_END - (SUPPLY_END - float(threshold)) * (SUPPLY_END - voltage) / (SUPPLY_END - before)
+
+    entries: dict[str, Any] = {
+        "nominal_voltage": voltage,
+        "under_voltage": float(f"{board['under_voltage'] * voltage / before:.3g}"),
+        "over_voltage": float(f"{moved(board['over_voltage']):.4g}"),
+    }
+    for group, keys in (("brake", ("on_voltage", "off_voltage")), ("regeneration", ("start_voltage", "full_voltage"))):
+        if group in board:
+            changes = {key: float(f"{moved(board[group][key]):.4g}") for key in keys}
+            entries[group] = {**board[group], **changes}
+    return entries
 
 
 def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
@@ -127,14 +165,24 @@ def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
 
 
 def fitted(
-    base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float], *, slow_loops: bool = False
+    base: Mapping[str, Any],
+    axis: int,
+    limits: Limits,
+    motor: Mapping[str, float],
+    *,
+    slow_loops: bool = False,
+    verify_time: float = 0.0,
 ) -> dict[str, Any]:
     """The same with the highest bandwidths possible for this motor; values in SI by name.
+
+    Other entries that are refused with this motor are corrected by the remedies of the refusals.
 
     Parameters
     ----------
     slow_loops : bool
         Low bandwidths, which amplify the noise of currents and speed less.
+    verify_time : float
+        Smallest duration of the verification of a rotor search [s].
 
     Raises
     ------
@@ -152,8 +200,10 @@ def fitted(
             "observer_bandwidth": max(bandwidth, 10.0),
         }
         table = configured(base, axis, limits, motor, control=control)
+        search = table.get("defaults", {}).get("rotor_search", {}) | table[axis_name(axis)]["rotor_search"]
+        table[axis_name(axis)]["rotor_search"]["verify_time"] = max(search["verify_time"], verify_time)
         try:
-            design = tuned_axis(table, axis)
+            table, design = corrected(table, axis)
         except ConfigError as error:
             problem = error
             continue
@@ -162,6 +212,33 @@ def fitted(
             return table
     assert problem is not None
     raise problem
+
+
+def corrected(table: Mapping[str, Any], axis: int) -> tuple[dict[str, Any], Tuned]:
+    """Table with the corrections of entries that follow from the motor, and its gains.
+
+    Raises
+    ------
+    ConfigError
+        If none of its remedies is a change of such an entry.
+    """
+    for _ in range(CORRECTIONS_MAX):
+        try:
+            return dict(table), tuned_axis(table, axis)
+        except ConfigError as error:
+            remedy = next((one for one in error.remedies if _may_change(one, axis)), None)
+            if remedy is None or remedy.value is None:
+                raise
+            table = with_value(table, remedy.entry, int(remedy.value) if remedy.whole else remedy.value)
+    return dict(table), tuned_axis(table, axis)
+
+
+def _may_change(remedy: Remedy, axis: int) -> bool:
+    """Whether an entry is neither given by the user, nor measured, nor chosen by `fitted`."""
+    owner, _, path = remedy.entry.partition(".")
+    if owner == "board" or path.split(".")[0] in ("motor", "friction"):
+        return False
+    return owner != axis_name(axis) or path not in _CHOSEN
 
 
 def _rounded(value: float) -> float:

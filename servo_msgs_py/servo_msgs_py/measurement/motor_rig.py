@@ -9,16 +9,17 @@ from functools import partial
 from typing import Any, Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
+from servo_msgs_py.measurement.access import MeasurementError, Recording, refuse_faults, send_configuration
 from servo_msgs_py.measurement.axis_under_test import AxisState, AxisUnderTest
 from servo_msgs_py.measurement.log import LoggedAccess
-from servo_msgs_py.measurement.motor_config import SPEED_RATIO, configured, fitted, tuned_axis
+from servo_msgs_py.measurement.motor_config import SPEED_RATIO, configured, corrected, fitted
 from servo_msgs_py.measurement.motor_values import Limits
 from servo_msgs_py.measurement.standstill import PERIOD
 from servo_msgs_py.measurement.test_signal import SweptSine, prepare_test_signal, start_test_signal
 from servo_msgs_py.tuning.configuration import Scales
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.errors import ConfigError, exactly, higher, lower
 from servo_msgs_py.tuning.formats import GAIN
+from servo_msgs_py.tuning.schema import BOARD_GROUPS
 
 TICK: Final = 0.5e-3  # [s]
 PROTECTION: Final = "protection"
@@ -27,12 +28,17 @@ _REVOLUTIONS_MIN: Final = 3.0  # in each direction: rotation by a rotating vecto
 LATENCY: Final = 0.1
 """Communication time on a serial line during which a shaft continues to rotate [s]."""
 STOPPED: Final = 0.1  # wait after the set-point has reached 0 [s]
+SPEED_MIN: Final = 5.0  # [rad/s]
+VOLTAGE_TOLERANCE: Final = 0.2  # largest relative difference of bus voltage and --voltage
+SEARCHES: Final = 3
+SEARCH_FAULTS: Final = ("ENCODER_REVERSED", "ROTOR_SEARCH")
+_SUPPLY_SETTLES: Final = 0.05  # filter of the bus voltage with new thresholds [s]
 COMMAND_TIMEOUT: Final = 1.0
 """Timeout of set-points after which the board stops the shaft [s]: longer than any pause on a slow line."""
 NOMINAL: Final[Mapping[str, float]] = {
     "r_s": 0.5,
-    "l_d": 0.4e-3,
-    "l_q": 0.4e-3,
+    "l_d": 4e-3,
+    "l_q": 4e-3,
     "psi_m": 0.015,
     "pole_pairs": 1.0,
     "inertia": 1e-5,
@@ -46,8 +52,8 @@ _MARK: Final = 0.1
 _SAMPLES: Final = 1280
 _SWEEP_CALLS: Final = 1100  # length of a test signal; the remaining samples contain its decay
 _SWEEP_BAND: Final = (150.0, 3000.0)  # [Hz]
-_TRIAL_MOTORS: Final[Sequence[Mapping[str, float]]] = ({"inertia": 1e-6}, {"inertia": 1e-5}, {"inertia": 1e-3})
-"""Motors for which a configuration must be possible before any motion."""
+SUPPLY_FAULTS: Final = ("UNDER_VOLTAGE", "OVER_VOLTAGE")
+"""Faults by thresholds that follow the voltage given by the user."""
 
 
 class MotorRig(AxisUnderTest):
@@ -62,12 +68,41 @@ class MotorRig(AxisUnderTest):
         self, access: LoggedAccess, axis: int, limits: Limits, base: Mapping[str, Any], report: Callable[[str], None]
     ) -> None:
         super().__init__(access, axis, report)
-        self.limits, self._base = limits, base
+        self.limits = limits
+        # the board keeps its own brake resistor and limits of regeneration; no block depends on them
+        kept = {key: value for key, value in base["board"].items() if key not in BOARD_GROUPS}
+        self._base = {**base, "board": kept}
         self._low = self._high = 0.0  # position limits [rad]
         self._over_speed = math.inf  # over-speed threshold of the board [rad/s]
         self._protection_features = 0  # protective features enabled by the user
 
+    @property
+    def dead_time(self) -> float:
+        """Time with both switches of a leg open, per edge [s]."""
+        return float(self._base["board"]["dead_time"])
+
+    @property
+    def lost_voltage(self) -> float:
+        """Nominal voltage lost in a leg by dead time and drop [V]."""
+        return self.dead_time / PERIOD * self.limits.voltage + float(self._base["board"]["switch_drop"])
+
     # ---- protection --------------------------------------------------------------------------------------------------
+
+    def check_limits(self) -> None:
+        """Check current and voltage given by the user against board and supply."""
+        limit, current = self.access.catalogue["param.i_q_limit"], self.limits.current
+        if not limit.minimum <= current <= limit.maximum:
+            bound = higher("--current", limit.minimum) if current < limit.minimum else lower("--current", limit.maximum)
+            span = f"{limit.minimum:g} .. {limit.maximum:g} A"
+            raise MeasurementError(f"--current {current:g} is outside the range of the board, {span}", bound)
+        if self.limits.speed < SPEED_MIN:
+            raise MeasurementError(
+                f"{self.limits.speed:g} rad/s is too slow for the test", higher("--speed-max", SPEED_MIN)
+            )
+        volts, nominal = self.access.read("u_dc")[0], self.limits.voltage
+        if abs(volts / nominal - 1.0) > VOLTAGE_TOLERANCE:
+            text = f"the bus voltage is {volts:.3g} V, --voltage is {nominal:g} V: check the supply"
+            raise MeasurementError(f"{text}, or correct --voltage", exactly("--voltage", float(f"{volts:.3g}")))
 
     def keep_protection(self, found: AxisState) -> None:
         """Respect the existing protection of the axis; a `MeasurementError` if its limits are too narrow."""
@@ -85,18 +120,23 @@ class MotorRig(AxisUnderTest):
             self._high = min(self._high, found.value("param.position_max"))
         turns = self.free_travel / (2.0 * math.pi)
         if turns < _REVOLUTIONS_MIN * (1.0 - 1e-6):
-            raise MeasurementError(
-                f"{max(turns, 0.0):.3g} revolutions in each direction are too few, required are "
-                f"{_REVOLUTIONS_MIN:g}: raise --turns-max, or widen param.position_min and param.position_max"
-            )
+            text = f"{max(turns, 0.0):.3g} revolutions in each direction are too few, required are {_REVOLUTIONS_MIN:g}"
+            if self.limits.turns < _REVOLUTIONS_MIN:
+                raise MeasurementError(text, higher("--turns-max", _REVOLUTIONS_MIN))
+            raise MeasurementError(f"{text}: widen param.position_min and param.position_max")
         self.limits = dataclasses.replace(self.limits, speed=speed, turns=turns)
-        for motor in _TRIAL_MOTORS:
-            try:
-                self.fitted({**NOMINAL, **motor})
-            except MeasurementError as error:
-                raise MeasurementError(
-                    f"{speed:.3g} rad/s is too slow for the test: raise --speed-max and param.speed_limit ({error})"
-                ) from None
+
+    def accept_supply(self) -> None:
+        """Clear the faults of a bus voltage that is within the limits of the configuration of the test."""
+        if self.label("state") == "FAULT":
+            self.wait(_SUPPLY_SETTLES)
+            self.clear_faults()
+        refuse_faults(self.access, self.axis)
+
+    def clear_faults(self) -> None:
+        """Clear the faults of the axis, and wait until they are gone, or up to a second."""
+        self.write_word("cmd.clear_faults", 1)
+        self.reached(lambda: self.label("state") == "STOP", 1.0, refuse_on_fault=False)
 
     @property
     def free_travel(self) -> float:
@@ -104,12 +144,43 @@ class MotorRig(AxisUnderTest):
         position = self.value("position")
         return min(position - self._low, self._high - position)
 
+    @property
+    def way_to_middle(self) -> float:
+        """Distance to the middle of the limits, negative downwards [rad]."""
+        return 0.5 * (self._low + self._high) - self.value("position")
+
+    def make_room(self, room: float, speed: float, acceleration: float) -> None:
+        """Run to the middle of the limits if one of them is nearer than `room` [rad].
+
+        The recordings do not end where they began; slow ramps add up.
+        """
+        if self.free_travel > room:
+            return
+        way = self.way_to_middle
+        top = min(speed, math.sqrt(abs(way) * acceleration))
+        self.command("cmd.speed", math.copysign(top, way))
+        self.wait(abs(way) / top)
+        self.command("cmd.speed", 0.0)
+        self.wait(top / acceleration + STOPPED)
+
     def enable_monitors_except(self, monitors: int, *faults: str) -> None:
         """Enable these monitors except for some faults; monitors disabled for a simulated board remain off."""
         masks = self.masks("faults")
         stage, self.access.stage = self.access.stage, PROTECTION
         self.write_word("param.faults_enabled", monitors & ~sum(masks[name] for name in faults))
         self.access.stage = stage
+
+    def search_rotor(self) -> None:
+        """Enable with a rotor search. Its faults are excluded by the rotating vector: it is repeated."""
+        for _ in range(SEARCHES - 1):
+            self.write_word("cmd.enable", 1)
+            self.reached(lambda: self.substate == "SPIN" or self.label("state") == "FAULT", 8.0, refuse_on_fault=False)
+            if self.substate == "SPIN":
+                return
+            refuse_faults(self.access, self.axis, *SEARCH_FAULTS)
+            self.write_word("cmd.enable", 0)
+            self.clear_faults()
+        self.enable("SPIN", 8.0)
 
     # ---- configuration -----------------------------------------------------------------------------------------------
 
@@ -129,17 +200,17 @@ class MotorRig(AxisUnderTest):
         self._send(table, {})
         self._features()
 
-    def fitted(self, motor: Mapping[str, float]) -> dict[str, Any]:
-        """``servo.toml`` with the bandwidths possible for a motor; its values in SI by name."""
+    def fitted(self, motor: Mapping[str, float], verify_time: float = 0.0) -> dict[str, Any]:
+        """``servo.toml`` with the bandwidths possible for a motor; its values in SI by name, `verify_time` in s."""
         try:
-            return fitted(self._base, self.axis, self.limits, motor, slow_loops=True)
+            return fitted(self._base, self.axis, self.limits, motor, slow_loops=True, verify_time=verify_time)
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
 
     def _send(self, table: Mapping[str, Any], members: Mapping[str, int]) -> None:
         """Send a configuration to the board, with some members of the block replaced."""
         try:
-            block = {**tuned_axis(table, self.axis).block, **members}
+            block = {**corrected(table, self.axis)[1].block, **members}
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
         AxisConfigTable.load().check(block)

@@ -20,6 +20,7 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults
 from servo_msgs_py.measurement.axis_under_test import REST_SPEED, AxisState
+from servo_msgs_py.measurement.dead_time import band_of, check_band
 from servo_msgs_py.measurement.estimation import (
     BAND,
     PLAIN_TIME,
@@ -30,10 +31,19 @@ from servo_msgs_py.measurement.estimation import (
     shaft_follows,
 )
 from servo_msgs_py.measurement.log import LoggedAccess, MeasurementLog
-from servo_msgs_py.measurement.motor_rig import COMMAND_TIMEOUT, LATENCY, NOMINAL, PROTECTION, STOPPED, TICK, MotorRig
+from servo_msgs_py.measurement.motor_rig import (
+    COMMAND_TIMEOUT,
+    LATENCY,
+    NOMINAL,
+    PROTECTION,
+    STOPPED,
+    SUPPLY_FAULTS,
+    TICK,
+    MotorRig,
+)
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
 from servo_msgs_py.measurement.speed_runs import balance
-from servo_msgs_py.measurement.standstill import PERIOD, impedance
+from servo_msgs_py.measurement.standstill import PERIOD, RESISTANCE_MIN, impedance
 from servo_msgs_py.units import PERIOD_NS
 
 FIRST_KP: Final = 0.05  # V/A; stable above 0.03 mH
@@ -51,6 +61,7 @@ TURN: Final = "turn"
 PULSES: Final = "pulses"
 """Stages that a simulation of the measurement can omit: they begin and end at rest."""
 ROUNDS: Final = 7
+EXPLAINED_MIN: Final = 0.9  # part of the current explained by a response that is above the noise
 LOOP: Final = 400.0  # bandwidth of the current loop with known inductance [Hz]
 TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
@@ -63,6 +74,9 @@ PULSE_MAX: Final = 1.5  # [s]
 MOVED: Final = 0.03  # smallest movement of a shaft that is not blocked [rad]
 BRAKE_TIME: Final = 0.15  # time constant of the deceleration after a pulse [s]
 SPEEDS: Final = (0.3, 0.6, 1.0)
+VERIFY_TIME_UNKNOWN: Final = 0.6
+"""Duration of the verification of a rotor search with an unknown inertia [s]: the longest period of a shaft that has
+followed the rotating vector."""
 SEARCH_PAUSE: Final = 0.5
 """Wait between the rotor search and the first run [s], because a simulated search can take longer."""
 FLUX_CURRENT: Final = 0.4  # d-axis current at constant speed, relative to the limit
@@ -118,6 +132,7 @@ class MotorTest:
         self.log.notes["limits"] = dataclasses.asdict(limits)
         self._rig = MotorRig(LoggedAccess(access, self.log), axis, limits, base, report)
         self._values: dict[str, Estimate] = {}
+        self._band = 0.0  # range of sign changes if it contains all phase currents [A]
         self._current = limits.current  # largest current, reduced if the resistive voltage drop is too large [A]
 
     # ---- interface ------------------------------------------------------------------------------------------
@@ -177,14 +192,10 @@ class MotorTest:
                 else "the command timeout of both axes is changed during the test"
             )
             raise MeasurementError(f"{axis_name(axis)} is enabled: disable it first, {reason}")
-        refuse_faults(rig.access, rig.axis)
-        if (state := rig.label("state")) != "STOP":
-            raise MeasurementError(f"{rig.name} is in {state}, not in STOP: wait, or clear its faults")
-        volts, nominal = rig.access.read("u_dc")[0], rig.limits.voltage
-        if abs(volts / nominal - 1.0) > 0.2:
-            raise MeasurementError(
-                f"the bus voltage is {volts:.3g} V, --voltage is {nominal:g} V: correct --voltage, or the supply"
-            )
+        rig.check_limits()
+        refuse_faults(rig.access, rig.axis, *SUPPLY_FAULTS)
+        if (state := rig.label("state")) not in ("STOP", "FAULT"):
+            raise MeasurementError(f"{rig.name} is in {state}, not in STOP: wait")
         # after power-on a rotor with cogging oscillates; a load needs time to move the shaft
         if not (rig.reached(rig.is_at_rest, 2.0) and self._remains_at_rest()):
             raise MeasurementError("the shaft moves before the test: remove the load, or balance it")
@@ -200,14 +211,15 @@ class MotorTest:
         current = self._current
         rig.report("holding the rotor: resistance")
         rig.configure(FIRST_KP, FIRST_KI)
+        rig.accept_supply()
         rig.mode("TEST")
         rig.command("cmd.speed", 0.0)
         rig.command("cmd.i_q", 0.0)
         rig.enable("TEST", 1.0)
-        rig.command("cmd.i_q", VECTOR * current)
-        self._wait_for_current(VECTOR * current, 4.0)
-        rig.wait(0.3)
-        r = self._ratio()
+        first, second = (self._held_at(part * current) for part in (VECTOR_LOW, VECTOR))
+        # the difference does not contain the voltage lost by dead time and switches
+        r = max((second[1] - first[1]) / (second[0] - first[0]), RESISTANCE_MIN)
+        self._band = band_of(r, rig.lost_voltage)
         voltage_max = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0)
         current = self._current = min(rig.limits.current, voltage_max / r)
         rig.command("cmd.i_q", VECTOR * current)
@@ -218,6 +230,7 @@ class MotorTest:
         found = resistance_of(self.log)
         self._values["r_s"] = Estimate(found.resistance.value - rig.limits.r_on, found.resistance.sigma)
         self._values["dead_voltage"] = found.lost
+        self._check_band(found.band)
         rig.report("holding the rotor: inductances")
         rig.command("cmd.i_q", VECTOR * current)
         rig.wait(0.1)
@@ -229,6 +242,8 @@ class MotorTest:
         rig.command("cmd.i_q", VECTOR_LOW * current)
         rig.wait(0.1)
         rig.sweep("sweep_d_low", "d", SWEEP_LOW * current)
+        smallest = 0.5 * (VECTOR_LOW - SWEEP_LOW) * current
+        self.log.notes["comparable"] = smallest > self._dead_time_change(self._values["l_d"].value)
         self.log.notes["bias"] = {"l_d": VECTOR * current, "l_d_low": VECTOR_LOW * current}
 
     def _first_inductance(self, r: float) -> None:
@@ -239,26 +254,47 @@ class MotorTest:
         for _ in range(ROUNDS):
             recording = rig.sweep("first", "d", SWEEP["d"] * self._current)
             try:
-                found = impedance([recording], names, r, BAND["d"], delay=0.5 * PERIOD).inductance
+                fit = impedance([recording], names, r, BAND["d"], delay=0.5 * PERIOD, any_resistance=True)
+                found, explained = fit.inductance, fit.explained > EXPLAINED_MIN
             except (ValueError, np.linalg.LinAlgError):
-                found = Estimate(kp / (2.0 * math.pi * LOOP), math.inf)
-            known = found.part < 0.3
-            minimum = found.value - 2.0 * found.sigma if known else kp / (2.0 * math.pi * LOOP)
-            gain_wanted = 2.0 * math.pi * LOOP * found.value
-            gain = gain_wanted if known else min(3.0 * kp, 2.0 * math.pi * LOOP * max(minimum, kp / 1e4))
-            rig.configure(gain, gain / max(found.value, 1e-6) * r, live=True)
-            if known and gain_wanted < 4.0 * kp:
+                found, explained = Estimate(kp / (2.0 * math.pi * LOOP), math.inf), False
+            known = explained and found.part < 0.3
+            if explained and not known:
+                self._refuse_small_current()
+                raise MeasurementError(
+                    f"the inductance is hidden with {self._current:.3g} A by the dead time of the switches: use more"
+                    " current, or a lower bus voltage"
+                )
+            gain = 2.0 * math.pi * LOOP * found.value if known else 3.0 * kp
+            # an integral part faster than the loop would make it oscillate
+            rig.configure(gain, gain * min(r / max(found.value, 1e-6), math.pi * LOOP), live=True)
+            if known and gain < 4.0 * kp:
                 return
-            kp = gain_wanted if known else 3.0 * kp
+            kp = gain
+        self._refuse_small_current()
         raise MeasurementError(
-            "the current does not respond to a test signal: check the connection of all three motor wires"
+            f"the current does not respond to a test signal of {SWEEP['d'] * self._current:.2g} A: check the connection"
+            " of all three motor wires, or use more current"
         )
 
-    def _levels(self) -> None:
+    def _refuse_small_current(self) -> None:
+        """Raise an error if a too small current is the reason why a test signal has no result."""
+        self._levels(settle=0.3)
+        self._check_band(max(resistance_of(self.log).band, self._band))
+
+    def _check_band(self, band: float) -> None:
+        maximum = self._rig.access.catalogue["param.i_q_limit"].maximum
+        check_band(band, self._band, self._current, self._rig.limits, maximum)
+
+    def _dead_time_change(self, inductance: float) -> float:
+        """Change of a phase current by the bus voltage in a dead time [A]; `inductance` [H]."""
+        return self._rig.limits.voltage * self._rig.dead_time / inductance
+
+    def _levels(self, settle: float = 0.06) -> None:
         rig = self._rig
         for part in LEVELS:
             rig.command("cmd.i_q", part * self._current)
-            rig.wait(0.06)
+            rig.wait(settle)
             rig.slow("level", ("i_d", "u_d"), 100)
 
     def _rotate(self) -> None:
@@ -302,11 +338,11 @@ class MotorTest:
             "friction": 0.02 * torque,
             "viscous": 0.0,
         }
-        rig.configure_for(rig.fitted(motor))
+        rig.configure_for(rig.fitted(motor, VERIFY_TIME_UNKNOWN))
         rig.mode("TORQUE")
         rig.write("param.speed_limit", PULSE_SPEED * self._speed_max())
         rig.command("cmd.i_q", 0.0)
-        rig.enable("SPIN", 8.0)
+        rig.search_rotor()
         inertia, coulomb = self._pulses(motor)
         rig.off()
         rig.access.stage = ""
@@ -318,7 +354,7 @@ class MotorTest:
             rig.write(f"param.{name}_limit", table[rig.name]["limits"][name])
         rig.mode("SPEED")
         rig.command("cmd.speed", 0.0)
-        rig.enable("SPIN", 8.0)
+        rig.search_rotor()
         rig.wait(SEARCH_PAUSE)
         self._speeds(table[rig.name]["limits"], inertia)
         rig.off()
@@ -405,6 +441,7 @@ class MotorTest:
         longest = max(SETTLE + PLAIN_TIME, SETTLE_HOLD + FLUX_CURRENT_TIME) + LATENCY
         while maximum * longest + maximum**2 / acceleration > travel_max:
             maximum *= 0.95
+        room = maximum * longest + maximum**2 / acceleration
         r = self._values["r_s"].value + rig.limits.r_on
         flux_current = min(
             FLUX_CURRENT * rig.limits.current, FLUX_CURRENT_VOLTAGE * rig.limits.voltage / math.sqrt(3.0) / r
@@ -413,6 +450,7 @@ class MotorTest:
         for part in SPEEDS:
             speeds = [direction * part * maximum for direction in (1.0, -1.0)]
             for speed in speeds:
+                rig.make_room(room, maximum, acceleration)
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / rig.capacity(_SPIN))
                 change = partial(rig.command, "cmd.speed", speed)
@@ -420,9 +458,11 @@ class MotorTest:
                 rig.moving("speed", _SPIN, int(seconds / TICK / every), every, before, times, change)
                 before = speed
             for speed in speeds:
+                rig.make_room(room, maximum, acceleration)
                 ramp = abs(speed) / acceleration
                 rig.moving("plain", _PLAIN, round(PLAIN_TIME / TICK), 1, speed, (ramp + SETTLE, ramp + STOPPED))
             for speed in speeds:
+                rig.make_room(room, maximum, acceleration)
                 # With a d-axis current the phase currents are rarely near zero, where the dead-time voltage is
                 # uncertain; a slow sine has no steps.
                 ramp = abs(speed) / acceleration
@@ -439,11 +479,14 @@ class MotorTest:
         times = abs(electrical) / TURN_RAMP + TURN_SETTLE, abs(electrical) / TURN_RAMP + STOPPED
         return self._rig.moving(label, columns, samples, every, electrical / NOMINAL["pole_pairs"], times)
 
-    def _ratio(self) -> float:
-        """Quotient of voltage and current with a held rotor [ohm]."""
+    def _held_at(self, current: float) -> tuple[float, float]:
+        """Mean current [A] and voltage [V] with a rotor held by this current [A]."""
+        self._rig.command("cmd.i_q", current)
+        self._wait_for_current(current, 4.0)
+        self._rig.wait(0.3)
         columns = self._rig.slow("ratio", ("i_d", "u_d"), 100).columns
         i_d, u_d = (float(np.nanmean(column)) for column in columns.values())
-        return max(u_d / i_d, 0.02)
+        return i_d, u_d
 
     def _wait_for_current(self, current: float, seconds: float) -> None:
         """Wait until the current is reached."""

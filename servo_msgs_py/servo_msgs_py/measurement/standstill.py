@@ -17,6 +17,7 @@ from servo_msgs_py.units import PERIOD_NS
 Complex = NDArray[np.complex128]
 
 PERIOD: Final = PERIOD_NS * 1e-9  # [s]
+RESISTANCE_MIN: Final = 0.02  # of winding and switch [ohm]
 SMOOTHED: Final = 6  # number of neighbouring frequencies whose cross spectra are summed
 
 
@@ -70,6 +71,7 @@ class Impedance:
     inductance: Estimate  # [H]
     delay: Estimate  # from a sample of the current to the load of the resulting duty cycle [s]
     swing: float  # voltage per integral of the current, from oscillation of the rotor [V/(A s)]
+    explained: float  # part of the power of the current that the model explains
 
 
 def _response(omega: Floats, r: float, inductance: float, delay: float, swing: float) -> Complex:
@@ -92,6 +94,7 @@ def impedance(
     *,
     swings: bool = False,
     delay: float | None = None,
+    any_resistance: bool = False,
 ) -> Impedance:
     """Inductance from recordings of a swept sine; the signal is the instrumental variable, so noise causes no bias.
 
@@ -109,36 +112,40 @@ def impedance(
         Whether the current causes oscillations of the rotor.
     delay : float, optional
         Known delay [s].
+    any_resistance : bool
+        Whether the resistance is estimated, too. A small alternating current that changes the lost voltage of a leg
+        has an additional resistance.
     """
     if not recordings:
         raise MeasurementError("there is no recording of a test signal: measure again")
     omega, i_d, u_d = spectra(recordings, names, band)
     known = None if delay is None else delay / PERIOD
     size = float(np.abs(u_d).mean() / np.abs(i_d).mean() / omega.mean())
+    names_of, start, scale = ["inductance"], [size], [size]
+    for name, wanted, first, unit in (
+        ("delay", known is None, 0.5, 1.0),
+        ("swing", swings, 0.0, size * float(omega[0]) ** 2),
+        ("resistance", any_resistance, r, r),
+    ):
+        if wanted:
+            names_of.append(name)
+            start.append(first)
+            scale.append(unit)
 
     def residual(x: Floats) -> Floats:
-        inductance, late, swing = abs(float(x[0])) + 1e-9, known, float(x[1])
-        if known is None:
-            late = float(np.clip(x[1], 0.0, 3.0))
-            swing = float(x[2]) if swings else 0.0
-        elif not swings:
-            swing = 0.0
-        assert late is not None
-        error = i_d - _response(omega, r, inductance, late, swing) * u_d
+        given = dict(zip(names_of, map(float, x), strict=True))
+        late = float(np.clip(given["delay"], 0.0, 3.0)) if known is None else known
+        resistance = max(given.get("resistance", r), RESISTANCE_MIN)
+        model = _response(omega, resistance, abs(given["inductance"]) + 1e-9, late, given.get("swing", 0.0))
+        error = i_d - model * u_d
         return np.concatenate([error.real, error.imag])
 
-    start, scale = [size], [size]
-    if known is None:
-        start, scale = [*start, 0.5], [*scale, 1.0]
-    if swings:
-        start, scale = [*start, 0.0], [*scale, size * float(omega[0]) ** 2]
-    elif known is not None:
-        start, scale = [*start, 0.0], [*scale, 1.0]
     x, covariance = fit_nonlinear(residual, np.array(start), np.array(scale))
     errors = np.sqrt(np.abs(np.diag(covariance)))
     found = Estimate(float(x[1]) * PERIOD, float(errors[1]) * PERIOD) if known is None else Estimate(delay or 0.0, 0.0)
-    swing = float(x[-1]) if swings else 0.0
-    return Impedance(Estimate(abs(float(x[0])), float(errors[0])), found, swing)
+    swing = float(x[names_of.index("swing")]) if swings else 0.0
+    explained = 1.0 - float((residual(x) ** 2).sum()) / float((np.abs(i_d) ** 2).sum())
+    return Impedance(Estimate(abs(float(x[0])), float(errors[0])), found, swing, explained)
 
 
 def spectra(

@@ -47,7 +47,8 @@ class Remedy:
             verb = _VERBS.get(self.directions, "correct")
             return f"{verb} {name}"
         bound = {RAISE: " or more", LOWER: " or less", EXACT: ""}[self.directions[0]]
-        return f"write {'' if own else f'{self.entry} = '}{self.value:g}{bound}"
+        name = "" if own else f"{self.entry} " if self.entry.startswith("--") else f"{self.entry} = "
+        return f"write {name}{self.value:g}{bound}"
 
 
 def higher(entry: str, value: float | None = None) -> Remedy:

@@ -20,7 +20,7 @@ from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
-from servo_twin.identification.motors import random_motor
+from servo_twin.identification.motors import random_motor, wide_motor
 from servo_twin.identification.refine import DETAILED_MODEL
 from servo_twin.identification.session import Identified, identified, measure_virtual, tuned_table
 from servo_twin.identification.trials import Trial, Trials, summary
@@ -57,7 +57,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     defaults = {field.name: field.default for field in dataclasses.fields(Limits)}
     parser.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
-    parser.add_argument("--voltage", type=float, default=24.0, help="voltage of the bus [V] (default: %(default)s)")
+    parser.add_argument("--voltage", type=float, help="voltage of the bus [V] (default: of the plant file)")
     parser.add_argument(
         "--current", type=float, default=4.0, help="permitted motor current [A, peak] (default: %(default)s)"
     )
@@ -86,13 +86,17 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     real.add_argument("--load", type=float, default=0.0, help="constant torque [N m]")
     real.add_argument("--locked", action="store_true", help="lock the shaft")
     parser.add_argument("--trials", type=argument.count, metavar="N", help="identify N random motors, print the errors")
+    parser.add_argument(
+        "--wide", action="store_true", help="random motors of 0.03 .. 12 ohm, each at its own voltage and current"
+    )
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
 
 
 def _limits(args: argparse.Namespace, plant: PlantConfig) -> Limits:
     r_on = plant.axes[args.axis - 1].r_on if args.r_on is None else args.r_on
-    return Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, r_on)
+    voltage = plant.bus.u_source if args.voltage is None else args.voltage
+    return Limits(voltage, args.current, args.speed_max, args.turns_max, args.energy_max, r_on)
 
 
 def _prepare(axis: int, load: float, locked: bool, board: Board) -> None:
@@ -119,7 +123,12 @@ def _run(args: argparse.Namespace) -> int:
             raise SimulationError(str(error)) from None
         limits = Limits(**log.notes["limits"])
     else:
-        real = plant if args.motor is None else random_motor(plant, axis, args.motor)
+        real = plant
+        if args.motor is not None and args.wide:
+            real, current = wide_motor(plant, axis, args.motor)
+            limits = dataclasses.replace(limits, voltage=real.bus.u_source, current=current)
+        elif args.motor is not None:
+            real = random_motor(plant, axis, args.motor)
         log, problem = measure_virtual(
             real,
             axis,
@@ -170,7 +179,7 @@ def _write(
 
 def _trials(args: argparse.Namespace, plant: PlantConfig, base: Mapping[str, Any]) -> int:
     level = chosen_level(args.level, default=FAST_LEVEL)
-    work = Trials(plant, base, args.axis - 1, _limits(args, plant), level, args.seed)
+    work = Trials(plant, base, args.axis - 1, _limits(args, plant), level, args.seed, args.wide)
     args.out.mkdir(parents=True, exist_ok=True)
     found: list[tuple[int, Trial]] = []
     text = ""

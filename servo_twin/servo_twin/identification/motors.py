@@ -49,3 +49,62 @@ def random_motor(plant: PlantConfig, axis: int, seed: int) -> PlantConfig:
         dead_time=source.uniform(*DEAD_TIME),
         v_drop=source.uniform(*DROP),
     )
+
+
+WIDE_PAIRS: Final = (2, 24)
+WIDE_R_S: Final = (0.03, 12.0)  # [ohm]
+WIDE_INDUCTANCE: Final = (15e-6, 8e-3)  # [H]
+WIDE_TIME_CONSTANT: Final = (0.1e-3, 5e-3)  # L_d / R [s]
+WIDE_VOLTAGE: Final = (12.0, 33.0)  # of the supply [V]
+WIDE_NO_LOAD_SPEED: Final = (20.0, 450.0)  # at that voltage [rad/s]
+WIDE_INERTIA: Final = (1e-7, 1e-2)  # [kg m^2]
+WIDE_CURRENT: Final = (0.3, 4.0)  # permitted [A]
+WIDE_DROP: Final = 0.6  # largest voltage of the permitted current at standstill, relative to the available voltage
+WIDE_TIME_TO_SPEED: Final = (
+    0.01,
+    1.0,
+)  # acceleration time to half the no-load speed with half the permitted current [s]
+
+
+def wide_motor(plant: PlantConfig, axis: int, seed: int) -> tuple[PlantConfig, float]:
+    """Copy of a plant with a random motor of a wide range and its supply, and the permitted current [A].
+
+    The resistance, inductance, speed and inertia are independent of each other, except that the current has to be
+    possible and the shaft has to accelerate in `WIDE_TIME_TO_SPEED`.
+    """
+    source = random.Random(f"wide motor {axis} {seed}")
+
+    def spread(span: tuple[float, float]) -> float:
+        return math.exp(source.uniform(math.log(span[0]), math.log(span[1])))
+
+    while True:
+        pairs, voltage, idle = source.randint(*WIDE_PAIRS), source.uniform(*WIDE_VOLTAGE), spread(WIDE_NO_LOAD_SPEED)
+        r_s, l_d, current, inertia = (
+            spread(WIDE_R_S),
+            spread(WIDE_INDUCTANCE),
+            spread(WIDE_CURRENT),
+            spread(WIDE_INERTIA),
+        )
+        available = voltage / math.sqrt(3.0)
+        psi = available / (pairs * idle)
+        torque = 0.75 * pairs * psi * current
+        if (
+            r_s * current < WIDE_DROP * available
+            and WIDE_TIME_CONSTANT[0] < l_d / r_s < WIDE_TIME_CONSTANT[1]
+            and WIDE_TIME_TO_SPEED[0] < 0.5 * idle * inertia / torque < WIDE_TIME_TO_SPEED[1]
+        ):
+            break
+    motor = plant.with_axis(
+        axis,
+        r_s=r_s,
+        l_d=l_d,
+        l_q=l_d * source.uniform(*SALIENCY),
+        psi_m=psi,
+        pole_pairs=float(pairs),
+        inertia=inertia,
+        friction=torque * spread(FRICTION),
+        viscous=torque * spread(VISCOUS) / idle,
+        dead_time=source.uniform(*DEAD_TIME),
+        v_drop=source.uniform(*DROP),
+    )
+    return motor.with_bus(u_source=voltage), current

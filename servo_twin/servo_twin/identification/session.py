@@ -38,6 +38,13 @@ NEEDED: Final[Mapping[str, float]] = {
 }
 """Largest half width of the 95 % interval of a determined value, relative to the value."""
 
+MORE: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("r_s", "l_d", "l_q"), "current (--current)"),
+    "psi_m": "speed (--speed-max)",
+    **dict.fromkeys(("inertia", "friction"), "current or speed (--current, --speed-max)"),
+}
+"""What narrows the interval of a value."""
+
 FRICTION_SMALL: Final = 0.005
 """Friction below this fraction of the torque of the current limit needs no accurate value."""
 
@@ -165,14 +172,19 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
         elif estimate.part > part > 0.0:
             low, high = estimate.interval
             found.append(
-                f"{name}: the interval {low:.3g} .. {high:.3g} {UNITS[name]} is too wide; use more current or speed"
+                f"{name}: the interval {low:.3g} .. {high:.3g} {UNITS[name]} is too wide; use more {MORE[name]}"
             )
     return found
 
 
 def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[str]:
-    """Message if an inductance depends on the current."""
-    if "l_d" not in first.values or "r_s" not in first.values or "bias" not in log.notes:
+    """Message if an inductance depends on the current; not if a phase current vanishes in the dead time."""
+    if (
+        not log.notes.get("comparable", True)
+        or "l_d" not in first.values
+        or "r_s" not in first.values
+        or "bias" not in log.notes
+    ):
         return []
     half = inductance_at_low_current(log, first["r_s"] + float(log.notes["limits"]["r_on"]))
     full = first.values["l_d"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from servo_msgs_py.measurement.motor_values import Limits
 
-from servo_twin.identification.motors import random_motor
+from servo_twin.identification.motors import random_motor, wide_motor
 from servo_twin.identification.session import identified, measure_virtual, tuned_table
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
@@ -55,12 +56,17 @@ class Trials:
     limits: Limits
     level: Level  # level of the measured boards
     seed: int
+    wide: bool = False  # whether the motors are those of `wide_motor`, each with its own voltage and current
 
     def run(self, number: int) -> Trial:
-        seed = self.seed + number
-        plant = random_motor(self.plant, self.axis, seed)
+        seed, limits = self.seed + number, self.limits
+        if self.wide:
+            plant, current = wide_motor(self.plant, self.axis, seed)
+            limits = dataclasses.replace(limits, voltage=plant.bus.u_source, current=current)
+        else:
+            plant = random_motor(self.plant, self.axis, seed)
         truth = plant.axes[self.axis]
-        log, problem = measure_virtual(plant, self.axis, self.limits, self.base, level=self.level, seed=seed)
+        log, problem = measure_virtual(plant, self.axis, limits, self.base, level=self.level, seed=seed)
         result = identified(log, self.plant, problem, level=self.level)
         errors, covered = {}, {}
         for name in (*TARGETS, "viscous", "pole_pairs"):
@@ -71,7 +77,7 @@ class Trials:
                 covered[name] = low <= true <= high
         tuned = ""
         if not result.problems:
-            table, lines = tuned_table(self.base, result, self.limits)
+            table, lines = tuned_table(self.base, result, limits)
             tuned = "" if table is not None else lines[0]
         return Trial(errors, covered, float(log.notes.get("seconds", 0.0)), result.problems, tuned)
 

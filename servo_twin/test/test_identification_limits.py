@@ -1,0 +1,123 @@
+"""Identification with other currents, voltages and motors, and the remedies of its refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Final
+
+import pytest
+from servo_msgs_py.measurement.access import MeasurementError
+from servo_msgs_py.measurement.motor_config import fitted, tuned_axis
+from servo_msgs_py.measurement.motor_test import MotorTest
+from servo_msgs_py.measurement.motor_values import Limits
+from servo_twin.board import Board
+from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.firmware_build import servo_table
+from servo_twin.identification.motors import wide_motor
+from servo_twin.identification.session import identified, measure_virtual
+from servo_twin.plant import PlantConfig
+
+PLANT: Final = PlantConfig.load()
+OPTIONS: Final = {"--current": "current", "--voltage": "voltage", "--speed-max": "speed", "--turns-max": "turns"}
+REFUSALS_MAX: Final = 6
+PLAIN_ERRORS: Final[Mapping[str, float]] = {"r_s": 0.1, "l_d": 0.03, "l_q": 0.03, "psi_m": 0.06, "inertia": 0.07}
+"""Relative errors of the closed-form estimates, which a refinement would reduce."""
+
+
+def assert_identified(plant: PlantConfig, limits: Limits, seed: int = 1) -> None:
+    log, problem = measure_virtual(plant, 0, limits, servo_table(), level="ideal", seed=seed)
+    result = identified(log, plant, problem, refined=False, level="ideal")
+    assert not result.problems
+    for name, error in PLAIN_ERRORS.items():
+        assert result.estimates[name] == pytest.approx(getattr(plant.axes[0], name), rel=error), name
+
+
+@pytest.mark.parametrize(
+    ("voltage", "current"), [(24.0, 3.9), (24.0, 1.0), (24.0, 0.5), (12.0, 1.0), (10.0, 1.0), (33.0, 2.0)]
+)
+def test_any_current_and_voltage(voltage: float, current: float) -> None:
+    assert_identified(PLANT.with_bus(u_source=voltage), Limits(voltage, current, r_on=0.03))
+
+
+@pytest.mark.parametrize("number", [3, 6, 12, 25])
+def test_other_motors(number: int) -> None:
+    plant, current = wide_motor(PLANT, 0, number)
+    assert_identified(plant, Limits(plant.bus.u_source, current, r_on=0.03), number)
+
+
+def test_the_supply_fault_of_a_lower_voltage_is_cleared_and_returns() -> None:
+    with Board(PLANT.with_bus(u_source=12.0), seed=1, level="ideal") as board:
+        board.run(0.05)
+        states = board.catalogue.enums["state_t"]
+        assert board.read("axis1.state") == states["FAULT"], "the committed threshold is 16 V"
+        before = board.read_raw("config.checksum")
+        log = MotorTest(VirtualBoardAccess(board), 0, Limits(12.0, 1.0), servo_table()).run()
+        assert log.labelled("hold")
+        board.run(0.1)
+        assert board.read_raw("config.checksum") == before
+        assert board.read("axis1.state") == states["FAULT"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"current": 5.0},
+        {"current": 0.1},
+        {"voltage": 36.0},
+        {"current": 5.0, "voltage": 12.0, "speed": 1.0, "turns": 1.0},
+    ],
+)
+def test_remedies_of_options_are_accepted(changes: dict[str, float]) -> None:
+    limits = dataclasses.replace(Limits(24.0, 4.0, r_on=0.03), **changes)
+    assert_remedies_lead_to_a_result(PLANT, limits)
+
+
+@pytest.mark.parametrize("number", [13, 15, 28])
+def test_a_current_that_is_too_small_for_a_winding_is_refused_with_one_that_is_enough(number: int) -> None:
+    plant, current = wide_motor(PLANT, 0, number)
+    assert_remedies_lead_to_a_result(plant, Limits(plant.bus.u_source, current, r_on=0.03))
+
+
+def assert_remedies_lead_to_a_result(plant: PlantConfig, limits: Limits) -> None:
+    """The next refusal, if there is one, is about another option."""
+    refused: list[str] = []
+    while (error := refusal(plant, limits)) is not None:
+        assert error.remedies, (refused, str(error))
+        remedy = error.remedies[0]
+        assert remedy.value is not None
+        assert f"{remedy.entry} {remedy.value:g}" in str(error)
+        assert refused.count(remedy.entry) < 2, (refused, str(error))  # a second step: the first value was an estimate
+        assert len(refused) < REFUSALS_MAX
+        refused.append(remedy.entry)
+        limits = dataclasses.replace(limits, **{OPTIONS[remedy.entry]: remedy.value})
+        if remedy.entry == "--voltage":
+            plant = plant.with_bus(u_source=remedy.value)
+    assert refused
+
+
+def refusal(plant: PlantConfig, limits: Limits) -> MeasurementError | None:
+    """Error that ends the test of a motor."""
+    with Board(plant, seed=1, level="ideal") as board:
+        board.run(0.05)
+        try:
+            MotorTest(VirtualBoardAccess(board), 0, limits, servo_table()).run()
+        except MeasurementError as error:
+            return error
+    return None
+
+
+def test_a_configuration_follows_the_motor() -> None:
+    """Entries that depend on motor and limits are corrected by the remedies of the tuning rules."""
+    for number in range(4):
+        plant, current = wide_motor(PLANT, 0, number)
+        it = plant.axes[0]
+        names = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "friction", "viscous")
+        motor = {name: float(getattr(it, name)) for name in names}
+        limits = Limits(plant.bus.u_source, current)
+        for slow_loops in (False, True):
+            table = fitted(servo_table(), 0, limits, motor, slow_loops=slow_loops)
+            assert tuned_axis(table, 0).block
+            assert table["axis1"]["limits"]["current"] == current
+            assert table["axis1"]["motor"]["inertia"] == motor["inertia"]
+            assert table["board"]["nominal_voltage"] == limits.voltage
