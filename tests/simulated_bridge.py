@@ -22,6 +22,7 @@ from typing import Any, Final, cast
 from unittest import mock
 
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.freemaster.line import Line
 from servo_bridge.parameters import PARAMETERS, settings_from
@@ -309,8 +310,10 @@ class SimulatedNode:
     def create_publisher(self, _kind: Any, name: str, _qos: Any) -> _Publisher:
         return _Publisher(self, name)
 
-    def create_subscription(self, _kind: Any, name: str, callback: Callable[[Any], None], _qos: Any) -> None:
-        self.subscriptions[name] = callback
+    def create_subscription(
+        self, _kind: Any, name: str, callback: Callable[[Any], None], _qos: Any, raw: bool = False
+    ) -> None:
+        self.subscriptions[name] = (lambda message: callback(serialize_message(message))) if raw else callback
 
     def create_service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> _Service:
         del kind

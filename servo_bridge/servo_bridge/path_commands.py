@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from rclpy.serialization import deserialize_message
 from servo_msgs_py.answers import LEASE_TIMEOUT, TICKET, Answer, Phase
 from servo_msgs_py.runtime.qos import command_qos
 from std_msgs.msg import String
@@ -19,10 +20,14 @@ from servo_bridge.trajectory import tolerances
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.goal import Goal, GoalDefaults
 from servo_bridge.trajectory.path import State
+from servo_bridge.trajectory.waypoints import WAYPOINTS_MAX
 from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_msgs_py import topics
 
 _SOURCE: Final = topics.JOINT_TRAJECTORY
+_BYTES_MAX: Final = 4_000_000
+"""Largest message [bytes]: `WAYPOINTS_MAX` points of two joints with all fields have 3 MB."""
+
 _LAPSED: Final = (
     f"its sender has not renewed it for {LEASE_TIMEOUT:g} s (ended, suspended, or lost); the joints have stopped and "
     "hold"
@@ -120,12 +125,20 @@ class PathCommands:
         self._answers, self._defaults, self._warn = answers, defaults, warn
         self._leases: dict[str, Lease] = {}  # by ticket
         node, qos = context.node, command_qos()
-        node.create_subscription(JointTrajectory, _SOURCE, self._on_trajectory, qos)
+        node.create_subscription(JointTrajectory, _SOURCE, self._on_message, qos, raw=True)
         node.create_subscription(String, topics.LEASES, self._on_renewal, qos)
 
     def _on_renewal(self, message: String) -> None:
         if message.data in self._leases:
             self._leases[message.data].renew()
+
+    def _on_message(self, data: bytes) -> None:
+        """Refuse a message of too many bytes before its conversion, which stops all other threads."""
+        if len(data) > _BYTES_MAX:
+            reason = f"{_SOURCE}: {len(data)} bytes, more than {_BYTES_MAX}; send at most {WAYPOINTS_MAX} points"
+            self._context.reject(_SOURCE, TrajectoryError(reason))
+        else:
+            self._on_trajectory(deserialize_message(data, JointTrajectory))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         ticket = message.header.frame_id

@@ -14,8 +14,8 @@ from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 
 Array = NDArray[np.float64]
 
-WAYPOINTS_MAX: Final = 100_000
-"""Largest number of waypoints of a path: 1000 s at 100 Hz."""
+WAYPOINTS_MAX: Final = 25_000
+"""Largest number of waypoints of a path: 250 s at 100 Hz. rclpy converts 8 us per point while nothing else runs."""
 
 DURATION_MAX: Final = 1.0e5
 """Longest path [s]; above it, times of board and path have rounding errors of a PWM period."""
