@@ -69,9 +69,9 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         "--only",
         nargs="+",
         choices=list(EXPERIMENTS),
-        default=list(EXPERIMENTS),
+        default=[name for name in EXPERIMENTS if name not in levels.NOT_COMPARED],
         metavar="NAME",
-        help="experiments (default: all)",
+        help="experiments (default: all that are compared)",
     )
     both.add_argument(
         "--out",

@@ -13,6 +13,9 @@ from servo_twin.experiments.outcome import Bound, Outcome, Row
 from servo_twin.experiments.report import columns
 from servo_twin.level import Level
 
+NOT_COMPARED: Final = frozenset({"motor-campaign"})
+"""Experiments that have been measured at one level only."""
+
 HELP: Final = """\
 All experiments on the ideal chip with the averaged plant, and again on the registers with the switching plant. A
 figure agrees if it is within its bound at each level, and the difference of the levels is not larger than the width of
