@@ -168,7 +168,13 @@ def test_most_motors_can_be_tuned() -> None:
     outcomes = [tune_or_refuse(whole) for whole in sample(200, seed=1)]
     reasons = [outcome for outcome in outcomes if isinstance(outcome, str)]
     assert len(reasons) <= 80, reasons
-    kinds = ("does not fit gain_t", "does not fit omega_n Ts", "no-load speed", "the reluctance of this rotor")
+    kinds = (
+        "does not fit gain_t",
+        "does not fit omega_n Ts",
+        "no-load speed",
+        "reluctance of this rotor",
+        "a dead time",
+    )
     assert [sum(kind in reason for kind in kinds) for reason in reasons] == [1] * len(reasons), reasons
     assert all(any(kind in reason for reason in reasons) for kind in kinds)
 
