@@ -134,6 +134,18 @@ typedef struct {
     uint16_t unused; /* padding: equal addresses on all processors */
 } storage_status_t;
 
+/* Written by the host to begin and end a session (app/measurement.h). */
+typedef struct {
+    uint16_t axis; /* 0: end; number of an axis, from 1: begin */
+    uint16_t unused; /* padding: equal addresses on all processors */
+} measurement_request_t;
+
+/* State of the session (app/measurement.h). */
+typedef struct {
+    uint16_t state; /* measurement_state_t */
+    uint16_t ended; /* measurement_end_t: cause of the last end */
+} measurement_status_t;
+
 /* Output of the back-EMF observer; 0 while it is not running. The angle is of the tick of the snapshot, the other
  * values are at most one slow tick older. */
 typedef struct {

@@ -46,6 +46,11 @@ static axis_config_t *spare(config_blocks_t *blocks, uint16_t axis)
 /* True if `axis` is in the set `axes` (bit 0: axis 0). */
 static bool holds(uint16_t axes, uint32_t axis) { return ((uint32_t)axes >> axis & 1U) != 0U; }
 
+static bool is_busy(const config_blocks_t *blocks, uint32_t axis)
+{
+    return holds(blocks->pending, axis) || holds(blocks->reserved, axis);
+}
+
 static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, const uint8_t *data, uint16_t size)
 {
     const uint32_t axis = (uint32_t)get_word(data, CONFIG_AXIS);
@@ -63,7 +68,7 @@ static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, c
     if (count == 0U) {
         return CONFIG_REFUSAL_NONE; /* show the block in force */
     }
-    if (holds(blocks->pending, axis)) {
+    if (is_busy(blocks, axis)) {
         return CONFIG_REFUSAL_BUSY;
     }
     for (uint16_t k = 0; k < count; k++) {
@@ -87,7 +92,7 @@ static uint16_t write_header(config_blocks_t *blocks, const uint8_t *data)
     if (axis >= HAL_AXES) {
         return CONFIG_REFUSAL_AXIS;
     }
-    if (holds(blocks->pending, axis)) {
+    if (is_busy(blocks, axis)) {
         return CONFIG_REFUSAL_BUSY;
     }
     blocks->ready[axis] = false;
@@ -111,7 +116,7 @@ static uint16_t write_header(config_blocks_t *blocks, const uint8_t *data)
 static uint16_t write_take(config_blocks_t *blocks, const uint8_t *data)
 {
     const uint16_t axes = (uint16_t)(data[0] & 0xFFU);
-    if (blocks->pending != 0U) {
+    if (blocks->pending != 0U || (axes & blocks->reserved) != 0U) {
         return CONFIG_REFUSAL_BUSY;
     }
     if (axes == 0U || axes >> HAL_AXES != 0U || data[1] != 0U) {
@@ -152,6 +157,38 @@ void config_blocks_show(const config_blocks_t *blocks, config_request_t *request
         request->window[CONFIG_VALUES + k] = axis_member_get(block, (uint16_t)(first + k));
     }
 }
+
+/* ---- kept block ----------------------------------------------------------------------------------------------------- */
+
+static uint16_t next_axis(uint16_t axis) { return (uint16_t)((axis + 1U) % HAL_AXES); }
+
+bool config_blocks_keep(config_blocks_t *blocks, uint16_t axis)
+{
+    const uint16_t keeper = next_axis(axis);
+    if (blocks->pending != 0U) {
+        return false;
+    }
+    *spare(blocks, keeper) = *config_blocks_in_force(blocks, axis);
+    blocks->ready[keeper] = false;
+    blocks->reserved = (uint16_t)(1U << keeper);
+    return true;
+}
+
+void config_blocks_reserve(config_blocks_t *blocks) { blocks->reserved = (uint16_t)((1U << HAL_AXES) - 1U); }
+
+void config_blocks_return(config_blocks_t *blocks, uint16_t axis, uint32_t sum)
+{
+    if (blocks->pending != 0U) {
+        return;
+    }
+    *spare(blocks, axis) = *spare(blocks, next_axis(axis));
+    blocks->checksum[axis] = sum;
+    blocks->rest_member[axis] = 0; /* differs, as far as may_take is concerned */
+    blocks->ready[axis] = true;
+    blocks->pending = (uint16_t)(1U << axis);
+}
+
+void config_blocks_release(config_blocks_t *blocks) { blocks->reserved = 0; }
 
 /* ---- latching ------------------------------------------------------------------------------------------------------- */
 

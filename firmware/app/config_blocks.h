@@ -18,6 +18,7 @@ typedef struct {
     bool ready[HAL_AXES];        /* the spare block is complete, its checksum is correct */
     uint32_t checksum[HAL_AXES]; /* checksum of the spare block */
     uint16_t rest_member[HAL_AXES]; /* first changed member that may change only at rest; AXIS_MEMBERS: none */
+    uint16_t reserved; /* axes whose spare block the host must not write, one bit each */
     uint16_t pending; /* axes whose spare block is to be activated, one bit each */
 } config_blocks_t;
 
@@ -46,6 +47,19 @@ bool config_blocks_accept(config_blocks_t *blocks, config_status_t *status, uint
 
 /* After an accepted write of config.window: a request without members reads the members in force. */
 void config_blocks_show(const config_blocks_t *blocks, config_request_t *request);
+
+/* Keep the block in force of an axis: a copy in the spare block of the next axis, whose configuration is reserved until
+ * config_blocks_release. False while blocks are pending. */
+bool config_blocks_keep(config_blocks_t *blocks, uint16_t axis);
+
+/* Reserve the configuration of all axes. */
+void config_blocks_reserve(config_blocks_t *blocks);
+
+/* Stage the kept block with its checksum, to be activated at rest with the outputs off; not while blocks are pending. */
+void config_blocks_return(config_blocks_t *blocks, uint16_t axis, uint32_t sum);
+
+/* The host may write all blocks again. */
+void config_blocks_release(config_blocks_t *blocks);
 
 /* Between two slow ticks: activate the pending blocks, if the changed members are `live` or the axes are at rest.
  * True if activated; parameters with a changed default are set to the new default. */

@@ -17,6 +17,7 @@ typedef enum {
     EVENT_POINTS,
     EVENT_REFUSED,
     EVENT_COPY,
+    EVENT_RESTORED,
     EVENT_LATE,
     EVENT_OVERRUN,
 } event_kind_t;
@@ -122,6 +123,8 @@ void event_log_copy(event_log_t *log, uint16_t copy, uint16_t state)
     note(log, log->tick, EVENT_COPY, 0, (uint16_t)(copy << 8U | state));
 }
 
+void event_log_restored(event_log_t *log, uint16_t axis) { note(log, log->tick, EVENT_RESTORED, axis, 0); }
+
 /* ---- lines ------------------------------------------------------------------------------------------------------ */
 
 typedef struct {
@@ -214,6 +217,9 @@ static void put_event(writer_t *writer, const event_log_event_t *event)
         put(writer, (event->value >> 8U == 0U) ? "stored copy A: " : "stored copy B: ");
         put_name(writer, &servo_copy_names, (uint16_t)(event->value & 0xFFU));
         break;
+    case EVENT_RESTORED:
+        put(writer, "measurement taken back");
+        break;
     case EVENT_LATE:
         put(writer, "late loops: ");
         put_number(writer, event->value);
@@ -227,7 +233,8 @@ static void put_event(writer_t *writer, const event_log_event_t *event)
 
 static bool is_of_an_axis(uint8_t kind)
 {
-    return kind == (uint8_t)EVENT_STATE || kind == (uint8_t)EVENT_FAULT || kind == (uint8_t)EVENT_CLEARED;
+    return kind == (uint8_t)EVENT_STATE || kind == (uint8_t)EVENT_FAULT || kind == (uint8_t)EVENT_CLEARED ||
+           kind == (uint8_t)EVENT_RESTORED;
 }
 
 /* Format the oldest event as a line. */

@@ -52,6 +52,9 @@ void event_log_refused(event_log_t *log, uint16_t offset);
 /* Log a copy in the data flash that cannot be used; `state`: stored_copy_t. */
 void event_log_copy(event_log_t *log, uint16_t copy, uint16_t state);
 
+/* Log that the values before a measurement of an axis were restored, although its host did not end the session. */
+void event_log_restored(event_log_t *log, uint16_t axis);
+
 /* Write lines to the console of the client, as many as fit. */
 void event_log_print(event_log_t *log, freemaster_t *server);
 

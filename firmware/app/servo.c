@@ -69,6 +69,8 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->host_commands_seen = 0;
     servo->host_idle_ticks = 0;
     servo->host_seen = false;
+    servo->host_silent = false;
+    measurement_init(servo);
 
     if (by_watchdog) {
         raise_on_all(servo, FINDING_WATCHDOG_RESET);
@@ -127,7 +129,8 @@ static void supervise_host(servo_t *servo)
     } else if (servo->host_idle_ticks < UINT16_MAX) {
         servo->host_idle_ticks++;
     }
-    if (servo->host_seen && servo->host_idle_ticks >= servo->settings.host_timeout) {
+    servo->host_silent = servo->host_seen && servo->host_idle_ticks >= servo->settings.host_timeout;
+    if (servo->host_silent) {
         for (uint16_t i = 0; i < HAL_AXES; i++) {
             axis_stop_with(&servo->axis[i], FOUND(FINDING_HOST_SILENT));
         }

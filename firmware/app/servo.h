@@ -11,6 +11,7 @@
 #include "app/config_blocks.h"
 #include "app/event_log.h"
 #include "app/latch.h"
+#include "app/measurement.h"
 #include "app/storage.h"
 #include "comm/freemaster.h"
 #include "drive/axis.h"
@@ -41,11 +42,14 @@ typedef struct servo {
     config_status_t config_status;
     storage_request_t storage_request;
     storage_status_t storage_status;
+    measurement_request_t measurement_request;
+    measurement_status_t measurement_status;
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
     config_blocks_t config_blocks;
     storage_t storage;
+    measurement_t measurement;
     board_settings_t settings;
     bus_braking_t bus_braking;
     bus_braking_config_t bus_braking_config; /* copy in RAM: interrupts must not read constants in the data flash */
@@ -66,6 +70,7 @@ typedef struct servo {
     uint16_t host_commands_seen; /* `host_commands` at the last supervision */
     uint16_t host_idle_ticks; /* slow ticks without a command or keep-alive */
     bool host_seen; /* a command was received since reset */
+    volatile bool host_silent; /* no command or keep-alive within param.host_timeout */
     event_log_t event_log;
     freemaster_t freemaster;
     uint32_t samples[SERVO_SAMPLES / 4]; /* sample memory of both recorders */

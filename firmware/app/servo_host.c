@@ -67,6 +67,14 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
         }
         return accepted;
     }
+    const uint16_t measurement = (uint16_t)offsetof(servo_t, measurement_request);
+    if (offset >= measurement && (uint32_t)offset + size <= measurement + sizeof servo->measurement_request) {
+        return measurement_accept(servo, (uint16_t)(offset - measurement), mask == NULL, data, size);
+    }
+    if (measurement_refuses(servo, offset, data, size)) {
+        event_log_refused(&servo->event_log, offset);
+        return false;
+    }
     const ranges_memory_t memory = {
         .memory = (const uint8_t *)servo,
         .positions = (uint16_t)offsetof(servo_t, command.position),
@@ -89,6 +97,8 @@ static void written(void *context, uint16_t offset, uint16_t size)
     if (offset >= begin && (uint32_t)offset + size <= begin + sizeof servo->command) {
         servo->host_commands++;
         latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
+    } else if (offset == offsetof(servo_t, measurement_request)) {
+        servo->host_commands++; /* the session is supervised from its beginning */
     } else if (offset == offsetof(servo_t, config.window)) {
         config_blocks_show(&servo->config_blocks, &servo->config);
     } else if (offset >= offsetof(servo_t, parameter) &&
@@ -111,7 +121,7 @@ static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
     (void)size; /* no variable spans the boundary of a block */
     const uint16_t begin = (uint16_t)offsetof(servo_t, command);
     const bool commands = offset >= begin && offset < begin + sizeof(command_block_t);
-    return (commands || is_boot_token(offset)) ? ACCESS_COMMAND : ACCESS_TUNE;
+    return (commands || is_boot_token(offset) || offset == offsetof(servo_t, measurement_request)) ? ACCESS_COMMAND : ACCESS_TUNE;
 }
 
 static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)
@@ -149,6 +159,9 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     case COMMAND_QUICK_STOP:
         servo->host_commands++;
         write_to_all(servo, servo->command.quick_stop, 1);
+        server_lock(servo, true);
+        measurement_end(servo, MEASUREMENT_END_STOPPED);
+        server_lock(servo, false);
         return 0;
     case COMMAND_CLEAR_FAULTS:
         servo->host_commands++;
@@ -206,6 +219,7 @@ void servo_background(servo_t *servo)
     event_log_print(&servo->event_log, &servo->freemaster);
     freemaster_poll(&servo->freemaster, servo->hal);
     servo_storage_step(servo);
+    measurement_step(servo);
 }
 
 fm_status_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)

@@ -101,7 +101,7 @@ static storage_refusal_t take_request(storage_t *storage, storage_status_t *stat
     if (status->copy[0] == STORED_COPY_ABSENT) {
         return STORAGE_REFUSAL_ABSENT;
     }
-    if (status->state != STORAGE_STATE_IDLE) {
+    if (status->state != STORAGE_STATE_IDLE || board->reserved) {
         return STORAGE_REFUSAL_BUSY;
     }
     if (!at_rest(board->axes)) {

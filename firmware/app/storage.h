@@ -34,6 +34,7 @@ typedef struct {
     stored_values_t values;
     const config_status_t *config_status;
     event_log_t *event_log;
+    bool reserved; /* a measurement has changed the values for a while */
     uint16_t request; /* offset of the request in servo_t, bytes */
 } storage_board_t;
 

@@ -59,180 +59,183 @@ CHECK(39, SIZE(storage_status.refusal) == 2);
 CHECK(40, SIZE(storage_status.source) == 2);
 CHECK(41, SIZE(storage_status.copy) == 4);
 CHECK(42, SIZE(storage_status.saves) == 2);
-CHECK(43, SIZE(parameter.speed_limit) == 8);
-CHECK(44, SIZE(parameter.acceleration_limit) == 8);
-CHECK(45, SIZE(parameter.i_q_limit) == 4);
-CHECK(46, SIZE(parameter.features) == 4);
-CHECK(47, SIZE(parameter.position_min) == 8);
-CHECK(48, SIZE(parameter.position_max) == 8);
-CHECK(49, SIZE(parameter.following_error) == 8);
-CHECK(50, SIZE(parameter.over_speed) == 8);
-CHECK(51, SIZE(parameter.feedback) == 4);
-CHECK(52, SIZE(parameter.on_disable) == 4);
-CHECK(53, SIZE(parameter.on_quick_stop) == 4);
-CHECK(54, SIZE(parameter.faults_enabled) == 8);
-CHECK(55, SIZE(parameter.monitor) == 4);
-CHECK(56, SIZE(parameter.host_timeout) == 2);
-CHECK(57, SIZE(parameter.command_timeout) == 2);
-CHECK(58, SIZE(parameter.brake) == 2);
-CHECK(59, SIZE(snapshot.axis[0].position) == 4);
-CHECK(60, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(61, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(62, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(63, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(64, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(65, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(66, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(67, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(68, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(69, SIZE(snapshot.axis[0].state) == 2);
-CHECK(70, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(71, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(72, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(73, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(74, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(75, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(76, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(77, SIZE(snapshot.axis[0].winding_temperature) == 2);
-CHECK(78, SIZE(snapshot.axis[0].home_state) == 2);
-CHECK(79, SIZE(snapshot.axis[0].inputs) == 2);
-CHECK(80, SIZE(snapshot.monitor[0]) == 2);
-CHECK(81, SIZE(estimate.axis[0].speed) == 4);
-CHECK(82, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(83, SIZE(estimate.axis[0].emf) == 2);
-CHECK(84, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(85, SIZE(record[0].pending) == 4);
-CHECK(86, SIZE(nominal.torque_constant[0]) == 2);
-CHECK(87, SIZE(nominal.acceleration_current[0]) == 4);
-CHECK(88, SIZE(snapshot.axis[1].position) == 4);
-CHECK(89, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(90, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(91, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(92, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(93, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(94, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(95, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(96, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(97, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(98, SIZE(snapshot.axis[1].state) == 2);
-CHECK(99, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(100, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(101, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(102, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(103, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(104, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(105, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(106, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(107, SIZE(snapshot.axis[1].home_state) == 2);
-CHECK(108, SIZE(snapshot.axis[1].inputs) == 2);
-CHECK(109, SIZE(snapshot.monitor[1]) == 2);
-CHECK(110, SIZE(estimate.axis[1].speed) == 4);
-CHECK(111, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(112, SIZE(estimate.axis[1].emf) == 2);
-CHECK(113, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(114, SIZE(record[1].pending) == 4);
-CHECK(115, SIZE(nominal.torque_constant[1]) == 2);
-CHECK(116, SIZE(nominal.acceleration_current[1]) == 4);
-CHECK(117, SIZE(tick) >= 4);
-CHECK(118, SIZE(applied_tick) >= 4);
-CHECK(119, SIZE(applied_count) >= 2);
-CHECK(120, SIZE(axis[0].u_dc) >= 2);
-CHECK(121, SIZE(late_loops) >= 2);
-CHECK(122, SIZE(points_refused) >= 2);
-CHECK(123, SIZE(point_refusal) >= 2);
-CHECK(124, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(125, SIZE(axis[0].feedback.position) >= 4);
-CHECK(126, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(127, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(128, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(129, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(130, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(131, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(132, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(133, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(134, SIZE(axis[0].latch.captured) >= 4);
-CHECK(135, SIZE(axis[0].latch.first) >= 2);
-CHECK(136, SIZE(axis[0].active_limits) >= 2);
-CHECK(137, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(138, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(139, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(140, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(141, SIZE(axis[0].home.state) >= 2);
-CHECK(142, SIZE(axis[0].inputs) >= 2);
-CHECK(143, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(144, SIZE(axis[0].estimate.size) >= 2);
-CHECK(145, SIZE(axis[0].latch.pending) >= 4);
-CHECK(146, SIZE(axis[0].home.result) >= 2);
-CHECK(147, SIZE(axis[0].home.spread) >= 2);
-CHECK(148, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(149, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(150, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(151, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(152, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(153, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(154, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(155, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(156, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(157, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(158, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(159, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(160, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(161, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(162, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(163, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(164, SIZE(axis[0].test_signal.point) >= 2);
-CHECK(165, SIZE(axis[0].test_signal.value) >= 2);
-CHECK(166, SIZE(axis[0].startup.angle) >= 4);
-CHECK(167, SIZE(axis[0].command.mode) >= 2);
-CHECK(168, SIZE(axis[0].events.command) >= 2);
-CHECK(169, SIZE(axis[0].events.mode) >= 2);
-CHECK(170, SIZE(axis[0].sm.entered) >= 2);
-CHECK(171, SIZE(axis[1].feedback.position) >= 4);
-CHECK(172, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(173, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(174, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(175, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(176, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(177, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(178, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(179, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(180, SIZE(axis[1].latch.captured) >= 4);
-CHECK(181, SIZE(axis[1].latch.first) >= 2);
-CHECK(182, SIZE(axis[1].active_limits) >= 2);
-CHECK(183, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(184, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(185, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(186, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(187, SIZE(axis[1].home.state) >= 2);
-CHECK(188, SIZE(axis[1].inputs) >= 2);
-CHECK(189, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(190, SIZE(axis[1].estimate.size) >= 2);
-CHECK(191, SIZE(axis[1].latch.pending) >= 4);
-CHECK(192, SIZE(axis[1].home.result) >= 2);
-CHECK(193, SIZE(axis[1].home.spread) >= 2);
-CHECK(194, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(195, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(196, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(197, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(198, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(199, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(200, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(201, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(202, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(203, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(204, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(205, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(206, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(207, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(208, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(209, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(210, SIZE(axis[1].test_signal.point) >= 2);
-CHECK(211, SIZE(axis[1].test_signal.value) >= 2);
-CHECK(212, SIZE(axis[1].startup.angle) >= 4);
-CHECK(213, SIZE(axis[1].command.mode) >= 2);
-CHECK(214, SIZE(axis[1].events.command) >= 2);
-CHECK(215, SIZE(axis[1].events.mode) >= 2);
-CHECK(216, SIZE(axis[1].sm.entered) >= 2);
+CHECK(43, SIZE(measurement_request.axis) == 2);
+CHECK(44, SIZE(measurement_status.state) == 2);
+CHECK(45, SIZE(measurement_status.ended) == 2);
+CHECK(46, SIZE(parameter.speed_limit) == 8);
+CHECK(47, SIZE(parameter.acceleration_limit) == 8);
+CHECK(48, SIZE(parameter.i_q_limit) == 4);
+CHECK(49, SIZE(parameter.features) == 4);
+CHECK(50, SIZE(parameter.position_min) == 8);
+CHECK(51, SIZE(parameter.position_max) == 8);
+CHECK(52, SIZE(parameter.following_error) == 8);
+CHECK(53, SIZE(parameter.over_speed) == 8);
+CHECK(54, SIZE(parameter.feedback) == 4);
+CHECK(55, SIZE(parameter.on_disable) == 4);
+CHECK(56, SIZE(parameter.on_quick_stop) == 4);
+CHECK(57, SIZE(parameter.faults_enabled) == 8);
+CHECK(58, SIZE(parameter.monitor) == 4);
+CHECK(59, SIZE(parameter.host_timeout) == 2);
+CHECK(60, SIZE(parameter.command_timeout) == 2);
+CHECK(61, SIZE(parameter.brake) == 2);
+CHECK(62, SIZE(snapshot.axis[0].position) == 4);
+CHECK(63, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(64, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(65, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(66, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(67, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(68, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(69, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(70, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(71, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(72, SIZE(snapshot.axis[0].state) == 2);
+CHECK(73, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(74, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(75, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(76, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(77, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(78, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(79, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(80, SIZE(snapshot.axis[0].winding_temperature) == 2);
+CHECK(81, SIZE(snapshot.axis[0].home_state) == 2);
+CHECK(82, SIZE(snapshot.axis[0].inputs) == 2);
+CHECK(83, SIZE(snapshot.monitor[0]) == 2);
+CHECK(84, SIZE(estimate.axis[0].speed) == 4);
+CHECK(85, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(86, SIZE(estimate.axis[0].emf) == 2);
+CHECK(87, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(88, SIZE(record[0].pending) == 4);
+CHECK(89, SIZE(nominal.torque_constant[0]) == 2);
+CHECK(90, SIZE(nominal.acceleration_current[0]) == 4);
+CHECK(91, SIZE(snapshot.axis[1].position) == 4);
+CHECK(92, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(93, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(94, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(95, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(96, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(97, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(98, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(99, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(100, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(101, SIZE(snapshot.axis[1].state) == 2);
+CHECK(102, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(103, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(104, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(105, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(106, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(107, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(108, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(109, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(110, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(111, SIZE(snapshot.axis[1].inputs) == 2);
+CHECK(112, SIZE(snapshot.monitor[1]) == 2);
+CHECK(113, SIZE(estimate.axis[1].speed) == 4);
+CHECK(114, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(115, SIZE(estimate.axis[1].emf) == 2);
+CHECK(116, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(117, SIZE(record[1].pending) == 4);
+CHECK(118, SIZE(nominal.torque_constant[1]) == 2);
+CHECK(119, SIZE(nominal.acceleration_current[1]) == 4);
+CHECK(120, SIZE(tick) >= 4);
+CHECK(121, SIZE(applied_tick) >= 4);
+CHECK(122, SIZE(applied_count) >= 2);
+CHECK(123, SIZE(axis[0].u_dc) >= 2);
+CHECK(124, SIZE(late_loops) >= 2);
+CHECK(125, SIZE(points_refused) >= 2);
+CHECK(126, SIZE(point_refusal) >= 2);
+CHECK(127, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(128, SIZE(axis[0].feedback.position) >= 4);
+CHECK(129, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(130, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(131, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(132, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(133, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(134, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(135, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(136, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(137, SIZE(axis[0].latch.captured) >= 4);
+CHECK(138, SIZE(axis[0].latch.first) >= 2);
+CHECK(139, SIZE(axis[0].active_limits) >= 2);
+CHECK(140, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(141, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(142, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(143, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(144, SIZE(axis[0].home.state) >= 2);
+CHECK(145, SIZE(axis[0].inputs) >= 2);
+CHECK(146, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(147, SIZE(axis[0].estimate.size) >= 2);
+CHECK(148, SIZE(axis[0].latch.pending) >= 4);
+CHECK(149, SIZE(axis[0].home.result) >= 2);
+CHECK(150, SIZE(axis[0].home.spread) >= 2);
+CHECK(151, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(152, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(153, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(154, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(155, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(156, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(157, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(158, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(159, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(160, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(161, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(162, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(163, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(164, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(165, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(166, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(167, SIZE(axis[0].test_signal.point) >= 2);
+CHECK(168, SIZE(axis[0].test_signal.value) >= 2);
+CHECK(169, SIZE(axis[0].startup.angle) >= 4);
+CHECK(170, SIZE(axis[0].command.mode) >= 2);
+CHECK(171, SIZE(axis[0].events.command) >= 2);
+CHECK(172, SIZE(axis[0].events.mode) >= 2);
+CHECK(173, SIZE(axis[0].sm.entered) >= 2);
+CHECK(174, SIZE(axis[1].feedback.position) >= 4);
+CHECK(175, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(176, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(177, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(178, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(179, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(180, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(181, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(182, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(183, SIZE(axis[1].latch.captured) >= 4);
+CHECK(184, SIZE(axis[1].latch.first) >= 2);
+CHECK(185, SIZE(axis[1].active_limits) >= 2);
+CHECK(186, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(187, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(188, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(189, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(190, SIZE(axis[1].home.state) >= 2);
+CHECK(191, SIZE(axis[1].inputs) >= 2);
+CHECK(192, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(193, SIZE(axis[1].estimate.size) >= 2);
+CHECK(194, SIZE(axis[1].latch.pending) >= 4);
+CHECK(195, SIZE(axis[1].home.result) >= 2);
+CHECK(196, SIZE(axis[1].home.spread) >= 2);
+CHECK(197, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(198, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(199, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(200, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(201, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(202, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(203, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(204, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(205, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(206, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(207, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(208, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(209, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(210, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(211, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(212, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(213, SIZE(axis[1].test_signal.point) >= 2);
+CHECK(214, SIZE(axis[1].test_signal.value) >= 2);
+CHECK(215, SIZE(axis[1].startup.angle) >= 4);
+CHECK(216, SIZE(axis[1].command.mode) >= 2);
+CHECK(217, SIZE(axis[1].events.command) >= 2);
+CHECK(218, SIZE(axis[1].events.mode) >= 2);
+CHECK(219, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -347,6 +350,14 @@ static const char strings[] TABLE_MEMORY =
     "storage_refusal_t\0"
     "CHANGED\0"
     "FLASH\0"
+    "measurement_state_t\0"
+    "OPEN\0"
+    "RESTORING\0"
+    "measurement_end_t\0"
+    "CLOSED\0"
+    "SILENT\0"
+    "STOPPED\0"
+    "REPLACED\0"
     "snapshot_t\0"
     "\xED:STRUCT\0"
     "tick\0"
@@ -427,6 +438,9 @@ static const char strings[] TABLE_MEMORY =
     "storage.source\0"
     "storage.copy\0"
     "storage.saves\0"
+    "measurement.axis\0"
+    "measurement.state\0"
+    "measurement.ended\0"
     "param.speed_limit\0"
     "param.acceleration_limit\0"
     "param.i_q_limit\0"
@@ -692,225 +706,238 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {477, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
     {871, 21, 5, 0, TSA_KIND_NONE}, /* CHANGED */
     {879, 21, 6, 0, TSA_KIND_NONE}, /* FLASH */
-    {885, 896, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
-    {905, 910, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
-    {912, 910, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
-    {925, 939, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
-    {941, 946, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {948, 939, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
-    {959, 939, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
-    {977, 939, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
-    {992, 245, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
-    {1006, 1011, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
-    {1027, 946, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
-    {1011, 896, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
-    {1035, 1044, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
-    {1046, 1044, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
-    {1059, 1065, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
-    {1067, 1065, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
-    {1077, 946, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {1081, 946, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {1085, 946, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
-    {1093, 946, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
-    {1097, 946, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
-    {1101, 946, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {1109, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
-    {1115, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
-    {1124, 910, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
-    {1131, 939, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
-    {1143, 939, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
-    {1150, 939, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
-    {1165, 939, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
-    {1178, 939, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {1190, 946, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
-    {1210, 314, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
-    {1221, 939, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
-    {1228, 896, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {1243, 910, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
-    {905, 910, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {1251, 939, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
-    {1109, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
-    {1115, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {1256, 939, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {1261, 939, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
-    {1081, 946, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {1077, 946, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {1101, 946, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {941, 946, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {1059, 946, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {1266, 910, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {1281, 910, AT(boot_token), SIZE(boot_token), TSA_KIND_RW}, /* boot_token */
-    {1292, 885, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {905, 910, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {912, 910, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {925, 939, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {941, 946, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {948, 939, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {959, 939, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {977, 939, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
-    {992, 245, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {1301, 1044, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {1314, 1065, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {1324, 946, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {1332, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {1341, 939, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {1352, 939, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {1367, 939, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {1384, 1044, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
-    {1402, 356, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
-    {1411, 946, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
-    {1430, 910, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
-    {1444, 910, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
-    {1460, 910, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
-    {1475, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
-    {1490, 1044, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {1501, 1044, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1515, 1044, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {1529, 939, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1541, 910, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1555, 910, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1571, 910, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1589, 939, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1608, 939, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1623, 939, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1638, 939, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1660, 939, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
-    {1676, 910, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
-    {1693, 709, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
-    {1707, 939, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
-    {1724, 853, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
-    {1740, 745, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
-    {1755, 785, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
-    {1768, 939, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
-    {1782, 1065, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1800, 1065, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1825, 946, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1841, 939, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1856, 1044, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1875, 1044, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1894, 1044, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1916, 1065, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1933, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1948, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1965, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1985, 910, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {2006, 534, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {2020, 939, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {2039, 939, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {2061, 939, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {2073, 1065, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {2082, 1044, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {2097, 1044, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {2116, 1065, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {2128, 1065, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {2144, 946, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {2154, 946, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {2164, 946, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {2178, 946, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {2188, 946, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {2198, 946, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {2212, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {2224, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {2239, 910, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {2252, 939, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {2270, 939, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {2283, 939, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {2304, 939, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {2323, 939, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {2341, 946, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {2367, 946, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {2389, 314, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {2406, 939, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
-    {2419, 946, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {2433, 1065, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2454, 946, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2477, 946, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2496, 939, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2520, 910, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2534, 1228, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2553, 442, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2571, 939, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2589, 946, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2611, 1044, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2638, 946, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2648, 946, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2658, 946, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2668, 946, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2682, 946, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2695, 946, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2708, 946, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2721, 1044, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2732, 1044, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2743, 1044, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2758, 1065, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2774, 1065, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2793, 1065, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2809, 1044, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2825, 1044, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2841, 1044, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2856, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
-    {2873, 946, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
-    {2891, 946, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
-    {2908, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2919, 939, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2939, 939, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2956, 939, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2974, 1044, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2989, 1044, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {3008, 1065, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {3020, 1065, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {3036, 946, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {3046, 946, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {3056, 946, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {3070, 946, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {3080, 946, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {3090, 946, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {3104, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {3116, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {3131, 910, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {3144, 939, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {3162, 939, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {3175, 939, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {3196, 939, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {3215, 939, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {3233, 946, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {3259, 946, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {3281, 314, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {3298, 939, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
-    {3311, 946, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {3325, 1065, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {3346, 946, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {3369, 946, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {3388, 939, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {3412, 910, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {3426, 1228, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {3445, 442, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {3463, 939, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3481, 946, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3503, 1044, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3530, 946, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3540, 946, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3550, 946, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3560, 946, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3574, 946, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3587, 946, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3600, 946, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3613, 1044, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3624, 1044, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3635, 1044, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3650, 1065, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3666, 1065, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3685, 1065, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3701, 1044, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3717, 1044, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3733, 1044, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3748, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
-    {3765, 946, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
-    {3783, 946, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
-    {3800, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3811, 939, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3831, 939, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3848, 939, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {885, 8, 0, 2, TSA_KIND_NONE}, /* measurement_state_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {905, 21, 1, 0, TSA_KIND_NONE}, /* OPEN */
+    {910, 21, 2, 0, TSA_KIND_NONE}, /* RESTORING */
+    {920, 8, 0, 2, TSA_KIND_NONE}, /* measurement_end_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {938, 21, 1, 0, TSA_KIND_NONE}, /* CLOSED */
+    {945, 21, 2, 0, TSA_KIND_NONE}, /* SILENT */
+    {952, 21, 3, 0, TSA_KIND_NONE}, /* STOPPED */
+    {960, 21, 4, 0, TSA_KIND_NONE}, /* REPLACED */
+    {969, 980, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
+    {989, 994, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
+    {996, 994, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
+    {1009, 1023, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
+    {1025, 1030, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {1032, 1023, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
+    {1043, 1023, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
+    {1061, 1023, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
+    {1076, 245, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
+    {1090, 1095, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
+    {1111, 1030, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
+    {1095, 980, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
+    {1119, 1128, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
+    {1130, 1128, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
+    {1143, 1149, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
+    {1151, 1149, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
+    {1161, 1030, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1165, 1030, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1169, 1030, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
+    {1177, 1030, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
+    {1181, 1030, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
+    {1185, 1030, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {1193, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
+    {1199, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
+    {1208, 994, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
+    {1215, 1023, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
+    {1227, 1023, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
+    {1234, 1023, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {1249, 1023, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {1262, 1023, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {1274, 1030, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
+    {1294, 314, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
+    {1305, 1023, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
+    {1312, 980, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {1327, 994, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {989, 994, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
+    {1335, 1023, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {1193, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
+    {1199, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
+    {1340, 1023, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {1345, 1023, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {1165, 1030, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1161, 1030, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1185, 1030, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {1025, 1030, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {1143, 1030, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
+    {1350, 994, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1365, 994, AT(boot_token), SIZE(boot_token), TSA_KIND_RW}, /* boot_token */
+    {1376, 969, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {989, 994, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {996, 994, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {1009, 1023, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {1025, 1030, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {1032, 1023, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {1043, 1023, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {1061, 1023, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {1076, 245, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {1385, 1128, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1398, 1149, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1408, 1030, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1416, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1425, 1023, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1436, 1023, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1451, 1023, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1468, 1128, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1486, 356, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1495, 1030, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
+    {1514, 994, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
+    {1528, 994, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
+    {1544, 994, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
+    {1559, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
+    {1574, 1128, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {1585, 1128, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1599, 1128, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1613, 1023, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1625, 994, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1639, 994, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1655, 994, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1673, 1023, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1692, 1023, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1707, 1023, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1722, 1023, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1744, 1023, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1760, 994, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1777, 709, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1791, 1023, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1808, 853, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1824, 745, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1839, 785, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1852, 1023, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1866, 1023, AT(measurement_request.axis), SIZE(measurement_request.axis), TSA_KIND_RW}, /* measurement.axis */
+    {1883, 885, AT(measurement_status.state), SIZE(measurement_status.state), TSA_KIND_RO}, /* measurement.state */
+    {1901, 920, AT(measurement_status.ended), SIZE(measurement_status.ended), TSA_KIND_RO}, /* measurement.ended */
+    {1919, 1149, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1937, 1149, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1962, 1030, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1978, 1023, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1993, 1128, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {2012, 1128, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {2031, 1128, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {2053, 1149, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {2070, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {2085, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {2102, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {2122, 994, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {2143, 534, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {2157, 1023, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {2176, 1023, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {2198, 1023, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {2210, 1149, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {2219, 1128, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {2234, 1128, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {2253, 1149, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2265, 1149, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2281, 1030, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2291, 1030, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2301, 1030, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2315, 1030, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2325, 1030, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2335, 1030, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2349, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2361, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2376, 994, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2389, 1023, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2407, 1023, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2420, 1023, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2441, 1023, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2460, 1023, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2478, 1030, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2504, 1030, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2526, 314, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2543, 1023, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {2556, 1030, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2570, 1149, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2591, 1030, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2614, 1030, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2633, 1023, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2657, 994, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2671, 1312, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2690, 442, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2708, 1023, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2726, 1030, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2748, 1128, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2775, 1030, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2785, 1030, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2795, 1030, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2805, 1030, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2819, 1030, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2832, 1030, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2845, 1030, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2858, 1128, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2869, 1128, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2880, 1128, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2895, 1149, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2911, 1149, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2930, 1149, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2946, 1128, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2962, 1128, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2978, 1128, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2993, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
+    {3010, 1030, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
+    {3028, 1030, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
+    {3045, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
+    {3056, 1023, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {3076, 1023, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {3093, 1023, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {3111, 1128, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {3126, 1128, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {3145, 1149, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {3157, 1149, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {3173, 1030, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {3183, 1030, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {3193, 1030, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {3207, 1030, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {3217, 1030, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {3227, 1030, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {3241, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {3253, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {3268, 994, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {3281, 1023, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {3299, 1023, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {3312, 1023, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3333, 1023, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3352, 1023, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3370, 1030, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3396, 1030, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3418, 314, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3435, 1023, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {3448, 1030, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3462, 1149, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3483, 1030, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3506, 1030, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3525, 1023, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3549, 994, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3563, 1312, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3582, 442, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3600, 1023, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3618, 1030, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3640, 1128, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3667, 1030, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3677, 1030, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3687, 1030, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3697, 1030, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3711, 1030, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3724, 1030, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3737, 1030, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3750, 1128, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3761, 1128, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3772, 1128, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3787, 1149, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3803, 1149, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3822, 1149, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3838, 1128, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3854, 1128, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3870, 1128, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3885, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
+    {3902, 1030, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
+    {3920, 1030, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
+    {3937, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3948, 1023, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3968, 1023, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3985, 1023, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -1029,7 +1056,7 @@ static const uint16_t refusal_offsets[] = {161, 261, 266, 271, 277, 286, 115, 12
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
 static const uint16_t copy_offsets[] = {799, 805, 812, 820, 833, 846};
 const name_list_t servo_copy_names = {copy_offsets, 6};
-static const uint16_t fault_offsets[] = {3866, 3879, 3893, 3906, 3921, 190, 3934, 3946, 3954, 3962, 3975, 3991, 4002, 4019, 4036, 4045, 4060, 4075, 4086, 4100, 4110, 4119, 343, 4137, 4150};
+static const uint16_t fault_offsets[] = {4003, 4016, 4030, 4043, 4058, 190, 4071, 4083, 4091, 4099, 4112, 4128, 4139, 4156, 4173, 4182, 4197, 4212, 4223, 4237, 4247, 4256, 343, 4274, 4287};
 const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
@@ -1053,6 +1080,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
     {OFFSET(config.take), 2, 1, INT32_C(0), INT32_C(3)}, /* config.take */
     {OFFSET(storage_request.request), 2, 2, INT32_C(0), INT32_C(65535)}, /* storage.request */
+    {OFFSET(measurement_request.axis), 2, 1, INT32_C(0), INT32_C(2)}, /* measurement.axis */
     {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */

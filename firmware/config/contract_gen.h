@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x3A21E45E)
+#define CATALOGUE_HASH UINT32_C(0x1E1DD4D8)
 
 #define PARAMETER_LAYOUT UINT32_C(0xC4DA1EDC)
 #define PARAMETER_VALUES 29U
@@ -150,6 +150,20 @@ typedef enum {
     STORAGE_REFUSAL_CHANGED = 5,
     STORAGE_REFUSAL_FLASH = 6,
 } storage_refusal_t;
+
+typedef enum {
+    MEASUREMENT_STATE_NONE = 0,
+    MEASUREMENT_STATE_OPEN = 1,
+    MEASUREMENT_STATE_RESTORING = 2,
+} measurement_state_t;
+
+typedef enum {
+    MEASUREMENT_END_NONE = 0,
+    MEASUREMENT_END_CLOSED = 1,
+    MEASUREMENT_END_SILENT = 2,
+    MEASUREMENT_END_STOPPED = 3,
+    MEASUREMENT_END_REPLACED = 4,
+} measurement_end_t;
 
 #define FAULT_OVER_VOLTAGE UINT32_C(0x00000001) /* DC bus above the over-voltage limit */
 #define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002) /* DC bus below the under-voltage limit */

@@ -181,6 +181,18 @@ def test_token_of_another_host_is_used(fake_port: FakePort, start_link: StartLin
     assert fake_board.get("boot_token") == [77]
 
 
+@pytest.mark.usefixtures("fake_port")
+def test_board_with_the_configuration_of_a_measurement_is_not_used(
+    fake_board: FakeServo, start_link: StartLink
+) -> None:
+    fake_board.put("measurement.state", CATALOGUE.enums["measurement_state_t"]["RESTORING"])
+    watcher = start_link()
+    watcher.wait(lambda: any("configuration of a measurement" in s.reason for s in watcher.states))
+    assert all(s.state is not LinkState.CONNECTED for s in watcher.states)
+    fake_board.put("measurement.state", 0)
+    watcher.wait_state(LinkState.CONNECTED)
+
+
 def test_stopped_control_loop_is_reported(connected: Watcher, fake_board: FakeServo) -> None:
     frozen = fake_board.ticks()
     fake_board.ticks = lambda: frozen

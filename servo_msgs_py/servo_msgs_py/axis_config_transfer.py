@@ -25,7 +25,7 @@ _TEXTS: Final[Mapping[str, str]] = {
     "CHECKSUM": "the checksum of the received block is wrong; send it again",
     "UNCHECKED": "no complete block has been received since the last one was applied; send it again",
     "MOTION": "can only be changed at standstill with the outputs off: disable the axis and wait for standstill",
-    "BUSY": "the board has not yet applied the previous blocks; try again",
+    "BUSY": "the board has not yet applied the previous blocks, or a measurement uses them; try again after it",
 }
 
 

@@ -20,7 +20,7 @@ _COPIES: Final = "AB"
 _REFUSALS: Final[Mapping[str, str]] = {
     "FORM": "malformed request; if another program also writes to the board, stop it and try again",
     "ABSENT": "the board has no data flash; store the values in files: servo-tool save, servo-tool tune --from-board",
-    "BUSY": "the board is still executing the previous request; try again",
+    "BUSY": "the previous request is not done yet, or a measurement has changed the values; try again after it",
     "MOTION": "an axis is moving or enabled. Disable both axes, wait for standstill and try again. The stored values "
     "are unchanged",
     "CHANGED": "parameters or configuration changed during the request; the stored values are unchanged: try again",

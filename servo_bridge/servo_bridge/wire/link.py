@@ -35,6 +35,7 @@ from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownE
 from servo_bridge.wire.link_state import LinkState, LinkStatus, status_of
 from servo_bridge.wire.link_statistics import LinkStatistics, StatisticsCollector
 from servo_bridge.wire.refusal import explained
+from servo_bridge.wire.restoration import await_restored
 from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.scope_reader import BoardResetError, ScopeReader
 from servo_bridge.wire.serial_port import LowLatency, SerialPort
@@ -332,6 +333,7 @@ class Link:
             session = connect(client, self._catalogue)
             if session.mismatch is not None:
                 raise session.mismatch
+            await_restored(session)
             reader = self._reader_of(session)
             first = reader.first()
         line.before_request = None  # the final writes must not be interrupted

@@ -15,6 +15,7 @@ from servo_bridge.freemaster.errors import (
     TransportError,
     WrongProtocolError,
 )
+from servo_bridge.wire.restoration import BoardRestoringError
 from servo_bridge.wire.scope_reader import BoardResetError, BoardStoppedError
 from servo_bridge.wire.serial_port import PortError
 from servo_bridge.wire.session import BoardMismatchError
@@ -77,6 +78,8 @@ def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> Link
         return LinkStatus(LinkState.FAILED, reason, remedy)
     if isinstance(error, BoardResetError):
         return LinkStatus(LinkState.DISCONNECTED, reason, "enable the axes again after the reconnection")
+    if isinstance(error, BoardRestoringError):
+        return LinkStatus(LinkState.DISCONNECTED, reason, "bring the shaft to rest; the link reconnects automatically")
     if isinstance(error, BoardStoppedError):
         return LinkStatus(LinkState.FAILED, reason, "reset the board")
     if isinstance(error, TransportError):

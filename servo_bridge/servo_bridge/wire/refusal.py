@@ -47,4 +47,9 @@ def refusal_text(catalogue: Catalogue, variable: Variable, raw: Sequence[int], f
             f"{name}: the configuration in the board has no values for it, because they were not possible or not "
             "accurate; correct the entry in the warning of `servo-tool tune` and send the configuration again"
         )
+    if variable.name == "cmd.enable":
+        return (
+            f"{name}: the board still has the configuration of a measurement, and restores its own when the shaft is "
+            "at rest; bring it to rest and try again"
+        )
     return f"{name}: the board refuses {values} {variable.unit}".rstrip()

@@ -1,4 +1,6 @@
-"""Axis during a measurement: preconditions, supervised commands, restoration of the initial state.
+"""Axis during a measurement: preconditions, supervised commands, session of the board, restored state.
+
+The board itself restores configuration and parameters at the end of a session, however it ends (app/measurement.h).
 
 Active set-points are rewritten within `param.command_timeout`: if the host stops communicating, the board stops the
 shaft.
@@ -9,18 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import Final
 
-from servo_msgs_py.axis_config_transfer import read_block
-from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import (
     BoardAccess,
     MeasurementError,
     Recording,
     faults_refused,
     refuse_faults,
-    send_configuration,
 )
 
 POLL_TIME: Final = 0.02  # polling period of conditions [s]
@@ -33,9 +32,9 @@ _REFRESH_PART: Final = 0.25  # interval of rewriting a set-point, relative to it
 _REFRESH_MAX: Final = 0.25  # the same interval if set-points do not expire [s]
 _INSTANT: Final = 1e-6  # shorter than any write [s]
 _ATTEMPTS: Final = 3
-_COMMANDS: Final = ("cmd.i_q", "cmd.speed", "cmd.mode")
-_NOT_PER_AXIS: Final = ("param.monitor",)
-"""Arrays that do not have one element per axis."""
+_SESSION_MAX: Final = 8.0
+"""Timeout for the end of a session [s]: the longest stop of the board, the rotor at rest, and the configuration."""
+_SESSION: Final = "measurement.axis"
 _OTHER_MOTION: Final = ("EXPIRED", "STARVED", "POSITION", "NOT_HOMED", "INPUT")
 
 Step = tuple[str, Callable[[], None]]
@@ -227,19 +226,54 @@ class AxisUnderTest:
         problem = f"has not reached {substate}"
         self.until(lambda: self.substate == substate, seconds, problem, ": check the board")
 
-    def off(self, rest: bool = True) -> None:
-        """Disable the outputs and, if `rest`, wait for standstill."""
+    def off(self) -> None:
+        """Disable the outputs and wait for standstill."""
         self.release()
         self.write_word("cmd.enable", 0)
 
         def ended() -> bool:
-            return self.label("state") in ("STOP", "FAULT") and (not rest or self.is_at_rest())
+            return self.label("state") in ("STOP", "FAULT") and self.is_at_rest()
 
         remedy = ": an external torque moves the shaft; remove the load, or balance it"
         self.until(ended, _REST_MAX, "does not come to rest with its outputs off", remedy, refuse_on_fault=False)
         self.wait(0.1)
 
-    # ---- restoration ------------------------------------------------------------------------------------------------
+    # ---- session and restoration ------------------------------------------------------------------------------------
+
+    @contextmanager
+    def session(self, steps: Sequence[Step] = (), remedy: str = "") -> Iterator[None]:
+        """Begin a session of the board, and end it after these steps; see `restored`.
+
+        Raises
+        ------
+        MeasurementError
+            If the board refuses a session.
+        """
+        if not self.reached(self._begun, _SESSION_MAX, refuse_on_fault=False):
+            raise MeasurementError(
+                f"the board refuses a measurement for {_SESSION_MAX:g} s: it stores values, or still restores those "
+                "before the previous measurement because the shaft moves; bring the shaft to rest and try again"
+            )
+        with self.restored([*steps, ("configuration and parameters", self._end_session)], remedy):
+            yield
+
+    def _begun(self) -> bool:
+        """Begin a session; a refusal ends the session of a program that was killed."""
+        return self.access.write_words(_SESSION, [self.axis + 1])
+
+    def _end_session(self) -> None:
+        self.access.write_words(_SESSION, [0])
+        self.until(
+            lambda: self._session_state() == "NONE",
+            _SESSION_MAX,
+            "keeps another configuration",
+            ": an external torque moves the shaft; the board restores it at rest, and is not enabled before",
+            refuse_on_fault=False,
+        )
+
+    def _session_state(self) -> str:
+        (raw,) = self.access.read_words("measurement.state")
+        return self.access.catalogue.label("measurement_state_t", raw)
 
     @contextmanager
     def restored(self, steps: Sequence[Step], remedy: str = "") -> Iterator[None]:
@@ -281,57 +315,3 @@ def _execute(step: Callable[[], None]) -> str:
         else:
             return ""
     return reason
-
-
-class AxisState:
-    """Current configuration, parameters, mode and set-points of an axis with its outputs off.
-
-    Parameters
-    ----------
-    it : AxisUnderTest
-        The axis.
-    """
-
-    def __init__(self, axis: AxisUnderTest) -> None:
-        access = axis.access
-        self._axis, self._block = axis, read_block(access, axis.axis)
-        names = [
-            name
-            for name, variable in access.catalogue.variables.items()
-            if name in _COMMANDS or (name.startswith("param.") and variable.count == AXES and name not in _NOT_PER_AXIS)
-        ]
-        self._words = {name: access.read_words(name)[axis.axis] for name in names}
-        self._timeout = access.read_words("param.command_timeout")
-
-    def word(self, name: str) -> int:
-        """Raw integer of a parameter or set-point of the axis."""
-        return self._words[name]
-
-    def value(self, name: str) -> float:
-        """The same value in SI."""
-        return float(self._axis.access.catalogue[name].scale(self._words[name]))
-
-    @property
-    def restore_steps(self) -> list[Step]:
-        """Steps that restore the stored state; parameters are verified."""
-        axis = self._axis
-
-        def configuration() -> None:
-            axis.wait_for_rest()  # a configuration of another motor is refused in motion
-            send_configuration(axis.access, {axis.axis: self._block})
-
-        steps: list[Step] = [
-            ("outputs off and shaft at rest", axis.off),
-            ("configuration", configuration),
-            ("param.command_timeout", lambda: self._write("param.command_timeout", self._timeout, 0)),
-        ]
-        # A configuration resets parameters, so they follow it; mode and set-points are last.
-        for name in sorted(self._words, key=lambda name: name in _COMMANDS):
-            steps.append((name, partial(self._write, name, [self._words[name]], axis.axis)))
-        return steps
-
-    def _write(self, name: str, words: Sequence[int], first: int) -> None:
-        access = self._axis.access
-        accepted = access.write_words(name, words, first)
-        if not accepted or access.read_words(name)[first : first + len(words)] != list(words):
-            raise MeasurementError(f"the board refuses {list(words)}")

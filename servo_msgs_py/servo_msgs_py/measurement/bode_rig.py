@@ -70,12 +70,9 @@ class BodeRig(AxisUnderTest):
             if self.is_spinning:
                 self.hold()
 
-        def outputs() -> None:
-            if not was_spinning:
-                self.write("cmd.i_q", 0.0)
-                self.off(rest=False)  # as before, a load may move the shaft now
-
         def mode_before() -> None:
+            if not was_spinning:
+                return  # the board disables the axis and restores its mode at the end of the session
             if mode == "TORQUE" and self.is_spinning:
                 self.report(
                     f"{self.name} holds its position in mode POSITION; it was in mode TORQUE, without a set-point"
@@ -84,7 +81,7 @@ class BodeRig(AxisUnderTest):
                 self.mode(mode)
             self.access.wait(POLL_TIME)  # until the changes are active
 
-        with self.restored((("shaft at rest", rest), ("outputs", outputs), ("mode", mode_before))):
+        with self.session((("shaft at rest", rest), ("mode", mode_before))):
             if not was_spinning:
                 self.mode("TEST" if test_mode else "POSITION")
                 self.enable("TEST" if test_mode else "SPIN", _TEST_TIME if test_mode else _SEARCH_TIME)

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.measurement.access import MeasurementError, Recording, refuse_faults, send_configuration
-from servo_msgs_py.measurement.axis_under_test import AxisState, AxisUnderTest
+from servo_msgs_py.measurement.axis_under_test import AxisUnderTest
 from servo_msgs_py.measurement.log import LoggedAccess
 from servo_msgs_py.measurement.motor_config import SPEED_RATIO, configured, corrected, fitted
 from servo_msgs_py.measurement.motor_values import Limits
@@ -104,20 +104,24 @@ class MotorRig(AxisUnderTest):
             text = f"the bus voltage is {volts:.3g} V, --voltage is {nominal:g} V: check the supply"
             raise MeasurementError(f"{text}, or correct --voltage", exactly("--voltage", float(f"{volts:.3g}")))
 
-    def keep_protection(self, found: AxisState) -> None:
+    def keep_protection(self) -> None:
         """Respect the existing protection of the axis; a `MeasurementError` if its limits are too narrow."""
-        catalogue, flags, features = self.access.catalogue, self.masks("features"), found.word("param.features")
+
+        def found(parameter: str) -> float:
+            return self.access.read(f"param.{parameter}")[self.axis]
+
+        catalogue, flags, features = self.access.catalogue, self.masks("features"), int(found("features"))
         self._protection_features = features & flags["OVER_SPEED"]
-        speed = min(self.limits.speed, found.value("param.speed_limit"))
+        speed = min(self.limits.speed, found("speed_limit"))
         if self._protection_features:
-            self._over_speed = found.value("param.over_speed")
+            self._over_speed = found("over_speed")
             speed = min(speed, self._over_speed / SPEED_RATIO)
         position, travel = self.value("position"), 2.0 * math.pi * self.limits.turns
         self._low = max(position - travel, catalogue["param.position_min"].minimum)
         self._high = min(position + travel, catalogue["param.position_max"].maximum)
         if features & flags["POSITION_LIMITS"]:
-            self._low = max(self._low, found.value("param.position_min"))
-            self._high = min(self._high, found.value("param.position_max"))
+            self._low = max(self._low, found("position_min"))
+            self._high = min(self._high, found("position_max"))
         turns = self.free_travel / (2.0 * math.pi)
         if turns < _REVOLUTIONS_MIN * (1.0 - 1e-6):
             text = f"{max(turns, 0.0):.3g} revolutions in each direction are too few, required are {_REVOLUTIONS_MIN:g}"

@@ -19,7 +19,7 @@ import numpy as np
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults
-from servo_msgs_py.measurement.axis_under_test import REST_SPEED, AxisState
+from servo_msgs_py.measurement.axis_under_test import REST_SPEED
 from servo_msgs_py.measurement.dead_time import band_of, check_band
 from servo_msgs_py.measurement.estimation import (
     BAND,
@@ -95,7 +95,8 @@ MODEL_BASED_FAULTS: Final = ("PHASE_LOST", "ENCODER_LOST", "ANGLE_MISMATCH", "ST
 """Faults whose monitors need motor values; the tests at standstill detect their causes themselves."""
 
 REMEDY: Final = (
-    ". Do not enable it: bring the shaft to rest and restart the board, which then loads its stored configuration"
+    ". The board restores configuration and parameters itself when its host is silent and the shaft at rest, and "
+    "cannot be enabled before; a restart loads the stored ones"
 )
 
 _SPIN: Final = ("position", "speed", "speed_ref", "i_q", "i_d")
@@ -149,12 +150,13 @@ class MotorTest:
         """
         self._check()
         rig = self._rig
-        found = AxisState(rig)
-        rig.keep_protection(found)
-        with rig.restored(found.restore_steps, REMEDY):
+        rig.keep_protection()
+        monitors = rig.access.read_words("param.faults_enabled")[rig.axis]
+        rig.access.stage = PROTECTION
+        with rig.session([("outputs off and shaft at rest", rig.off)], REMEDY):
             try:
+                rig.access.stage = ""
                 rig.command_timeout(COMMAND_TIMEOUT)
-                monitors = found.word("param.faults_enabled")
                 # these monitors depend on a resistance and current controllers that are still unknown
                 rig.enable_monitors_except(monitors, *MODEL_BASED_FAULTS)
                 self._standstill()
