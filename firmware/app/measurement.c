@@ -2,15 +2,7 @@
 
 #include <stddef.h>
 
-#include "app/servo.h"
 #include "drive/take_config.h"
-
-void measurement_init(servo_t *servo)
-{
-    servo->measurement_request = (measurement_request_t){0};
-    servo->measurement_status = (measurement_status_t){0};
-    servo->measurement = (measurement_t){0};
-}
 
 static bool begins(servo_t *servo, uint16_t axis)
 {

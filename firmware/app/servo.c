@@ -70,7 +70,9 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->host_idle_ticks = 0;
     servo->host_seen = false;
     servo->host_silent = false;
-    measurement_init(servo);
+    servo->measurement_request = (measurement_request_t){0};
+    servo->measurement_status = (measurement_status_t){0};
+    servo->measurement = (measurement_t){0};
 
     if (by_watchdog) {
         raise_on_all(servo, FINDING_WATCHDOG_RESET);

@@ -11,7 +11,7 @@
 #include "app/config_blocks.h"
 #include "app/event_log.h"
 #include "app/latch.h"
-#include "app/measurement.h"
+#include "app/measurement_data.h"
 #include "app/storage.h"
 #include "comm/freemaster.h"
 #include "drive/axis.h"

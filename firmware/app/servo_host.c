@@ -2,6 +2,7 @@
 #include <stddef.h>
 
 #include "app/login.h"
+#include "app/measurement.h"
 #include "app/points.h"
 #include "app/ranges.h"
 #include "app/servo.h"
@@ -121,7 +122,8 @@ static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
     (void)size; /* no variable spans the boundary of a block */
     const uint16_t begin = (uint16_t)offsetof(servo_t, command);
     const bool commands = offset >= begin && offset < begin + sizeof(command_block_t);
-    return (commands || is_boot_token(offset) || offset == offsetof(servo_t, measurement_request)) ? ACCESS_COMMAND : ACCESS_TUNE;
+    const bool measures = offset == offsetof(servo_t, measurement_request);
+    return (commands || measures || is_boot_token(offset)) ? ACCESS_COMMAND : ACCESS_TUNE;
 }
 
 static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)

@@ -60,7 +60,7 @@ def test_variables_that_the_project_uses_exist() -> None:
 
 def test_only_commands_blocks_and_parameters_can_be_written() -> None:
     writable = {name.split(".")[0] for name, v in CATALOGUE.variables.items() if v.writable}
-    assert writable == {"boot_token", "cmd", "config", "param", "storage"}
+    assert writable == {"boot_token", "cmd", "config", "measurement", "param", "storage"}
 
 
 def test_numbers_of_states_are_those_of_the_reference_design() -> None:

@@ -19,7 +19,7 @@ from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import Limits
 from servo_msgs_py.tuning.reading import load
-from servo_twin.board import Board
+from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main
 from servo_twin.firmware_build import servo_table
@@ -294,11 +294,15 @@ def test_shaft_that_does_not_stop_is_reported_after_a_wait(seconds: float) -> No
         with pytest.raises(MeasurementError):
             test.run()
         board.run(0.05)
-        after = _state(board)
-        different = {name for name, words in before.items() if after[name] != words}
-        assert different == (set() if math.isfinite(seconds) else {"config.checksum"})
+        assert (_state(board) == before) == math.isfinite(seconds)
         assert any("NOT RESTORED: configuration" in text for text in messages) == math.isinf(seconds)
-        assert ("Do not enable it" in test.restoring_text) == math.isinf(seconds)
+        assert ("The board restores" in test.restoring_text) == math.isinf(seconds)
+        if math.isinf(seconds):
+            with pytest.raises(BoardError):
+                board.write_raw("cmd.enable", [1, 0])
+            board.set_load(0, 0.0)
+            board.run(10.0)
+            assert _state(board) == before
 
 
 def test_set_point_is_renewed_with_slow_exchanges() -> None:
