@@ -94,12 +94,18 @@ static void restore_values(servo_t *servo)
     }
 }
 
+/* The supervision runs once per slow tick: a command that it has not seen yet ends the silence. */
+static bool host_is_silent(const servo_t *servo)
+{
+    return servo->host_silent && servo->host_commands == servo->host_commands_seen;
+}
+
 static void step_locked(servo_t *servo)
 {
     const measurement_t *measurement = &servo->measurement;
     const axis_t *axis = &servo->axis[measurement->axis];
     if (servo->measurement_status.state == MEASUREMENT_STATE_OPEN) {
-        if (servo->host_silent) {
+        if (host_is_silent(servo)) {
             measurement_end(servo, MEASUREMENT_END_SILENT);
         }
     } else if (measurement->stops && (axis->sm.state == STATE_RUN || axis->enable_requested)) {

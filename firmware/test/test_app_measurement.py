@@ -178,6 +178,18 @@ def test_axis_that_was_enabled_during_the_session_is_disabled(bench: Session) ->
     assert bench.view(0).state == STATE.STOP
 
 
+def test_first_command_after_a_silence_begins_a_session(bench: Session) -> None:
+    bench.keep_alive()
+    go_silent(bench)
+    assert bench.servo.host_silent
+    bench.keep_alive()
+    assert bench.begin()
+    bench.core.lib.servo_background(bench.servo)  # before the next slow tick
+    assert bench.state == OPEN
+    bench.background(3)
+    assert bench.state == OPEN
+
+
 def test_keep_alives_continue_a_session(bench: Session) -> None:
     assert bench.begin()
     for _ in range(5):

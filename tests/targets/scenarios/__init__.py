@@ -59,6 +59,7 @@ SCENARIOS: Final = (
     Scenario("broken-encoders", plant(), faults.broken_encoders),
     Scenario("tuning", plant(), tuning.tuning),
     Scenario("hot-winding", plant(), tuning.hot_winding),
+    Scenario("measured", plant(), tuning.measured),
     Scenario("positions", plant(), homing.positions),
     Scenario("homing", plant(), homing.homing),
     Scenario("blocked", plant(), homing.blocked),

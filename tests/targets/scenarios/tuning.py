@@ -12,6 +12,7 @@ from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, se
 
 from targets.rig import Rig
 from targets.scenarios.parts import POSITION, SPEED, TORQUE, features, ready, spin, stop
+from targets.server_requests import log_request
 
 _TABLE: Final = AxisConfigTable.load()
 
@@ -133,3 +134,49 @@ def _refusals(blocks: Blocks, block: dict[str, int]) -> None:
             # A request that arrives before the answer to the previous one is lost: the second one.
             blocks.together(("config.take", [2]), ("config.take", [2]), busy)
             blocks.wait()
+
+
+def measured(rig: Rig) -> None:
+    """Sessions with other blocks and parameters, and each end: a silent host, another session, a stop, the host."""
+    blocks = Blocks(rig)
+
+    def changed() -> None:
+        """A session that has changed configuration, parameters and mode of axis 1."""
+        rig.set_raw("measurement.axis", 1)
+        rig.set("param.faults_enabled", 0, 0)
+        rig.set_raw("cmd.mode", SPEED, POSITION)
+        _take(blocks, {0: {"u_dc_max": 0.99, "i_q_limit": 0.9}})
+
+    def restored() -> None:
+        rig.until("restored", lambda: rig.raw("measurement.state") == [0])
+
+    for token in (1, 2):  # the second one is refused
+        rig.set_raw("boot_token", token)
+    ready(rig)
+    changed()
+    rig.run(0.51)
+    restored()
+    for number in range(6):
+        rig.send(log_request(number))
+    changed()
+    with suppress(BlockRefusedError):
+        _take(blocks, {1: {"u_dc_max": 0.99}})
+    rig.set_raw("storage.request", 1, 1)
+    rig.set_raw("measurement.axis", 2)  # ends the session of axis 1
+    restored()
+    changed()
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN", lambda: rig.states()[0] == "SPIN")
+    rig.command("QUICK_STOP")
+    rig.set("cmd.enable", 1, 0)  # refused until the axis is off
+    restored()
+    rig.until("STOP", lambda: rig.states() == ["STOP", "STOP"])
+    rig.set_raw("measurement.axis", 3)
+    block = read_block(blocks, 1)
+    for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # as in `_refusals`
+        send_block(blocks, 1, block)
+        blocks.pause(later)
+        blocks.together(("config.take", [2]), ("config.take", [2]), ("measurement.axis", [2]))
+        blocks.wait()
+        rig.set_raw("measurement.axis", 0)
+        restored()
