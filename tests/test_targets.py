@@ -42,8 +42,6 @@ NOT_ON_A_TARGET = {
     # With an encoder READY lasts one tick, except after these 25 s.
     "encoder_monitor_suspect",
     "check_shorted",
-    # Limits beyond the configured ones are refused.
-    "omega_n_ts_under",
     # Refusals that are excluded by the table of variables and the number of scope slots.
     "fill",
     "scope_read",
