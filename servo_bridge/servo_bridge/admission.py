@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
@@ -78,10 +78,11 @@ class Place:
     holder: Source | None  # source that commanded it last; None: none since it was released
     moved_by: str  # other topic that moves it now; empty: none
     streaming: bool  # whether it follows a stream
+    wraps: bool = False  # whether positions that differ by whole turns are the same
 
     def distance(self, position: float) -> float:
         """Distance of the joint from a position [rad]."""
-        return abs(self.position - position)
+        return _distance(self.position, position, wraps=self.wraps)
 
 
 class _Drive(Enum):
@@ -99,6 +100,7 @@ class _Train:
     point: JointSetPoint  # the newest one
     time: float  # of the newest message, clock of the trains [s]
     stamp: float  # of the newest message [s]
+    wraps: bool  # whether positions that differ by whole turns are the same
     before: JointSetPoint | None = None  # the one before it
     elapsed: float = 0.0  # between the stamps of both [s]
     same: int = 1  # newest messages with the same position
@@ -111,6 +113,12 @@ class _Train:
     old: bool = False  # whether it began before the joint was released last
     origin: float | None = None  # where the present motion has begun [rad]
 
+    @property
+    def step(self) -> float:
+        """Distance of the newest position from the one before it [rad]; 0 without one of them."""
+        before, position = None if self.before is None else self.before.position, self.point.position
+        return 0.0 if before is None or position is None else _distance(before, position, wraps=self.wraps)
+
     def find_origin(self) -> None:
         """Update the origin with the newest message: a standstill, or a place that no motion leads to."""
         before, point = self.before, self.point
@@ -119,7 +127,7 @@ class _Train:
             return
         fastest = max(abs(before.velocity or 0.0), abs(point.velocity or 0.0))
         way = 3.0 * fastest * max(self.elapsed, 0.0) + 0.2 * JOIN_DISTANCE
-        if not point.velocity or abs(point.position - before.position) > way:
+        if not point.velocity or self.step > way:
             self.origin = point.position
 
 
@@ -150,10 +158,13 @@ class Admission:
     ----------
     topic : str
         Relative name.
+    wrapping : collection of int
+        Axes whose positions are angles: those of messages that differ by whole turns are the same.
     """
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, wrapping: Collection[int] = ()) -> None:
         self._topic = topic
+        self._wrapping = frozenset(wrapping)
         self._axes: defaultdict[int, _Axis] = defaultdict(_Axis)
         self._time = 0.0  # clock of the trains [s]
         self._advanced = math.inf  # time of the last step [s]
@@ -179,7 +190,7 @@ class Admission:
     def observe(self, points: Mapping[int, JointSetPoint], stamp: float) -> None:
         """Register a message that is refused for another reason; arguments as in `decide`."""
         for axis, point in points.items():
-            self._next(self._axes[axis], point, stamp, released=True).old = True
+            self._next(axis, point, stamp, released=True).old = True
 
     def decide(
         self,
@@ -205,7 +216,7 @@ class Admission:
         result = Admitted()
         for number, point in points.items():
             axis, place = self._axes[number], places[number]
-            train = self._next(axis, point, stamp, released=place.holder is None)
+            train = self._next(number, point, stamp, released=place.holder is None)
             try:
                 chosen = point if command and not point.streamed else self._decide(axis, train, place)
             except NotJoined as error:
@@ -223,17 +234,13 @@ class Admission:
                     axis.barred = None
         return result
 
-    def streamed(self, number: int) -> float | None:
-        """Position of the newest point of a path of an axis [rad]; None: there is none."""
-        train = self._axes[number].trains.get(True)
-        return None if train is None else train.point.position
-
-    def _next(self, axis: _Axis, point: JointSetPoint, stamp: float, *, released: bool) -> _Train:
-        """Register a message and return its train."""
+    def _next(self, number: int, point: JointSetPoint, stamp: float, *, released: bool) -> _Train:
+        """Register a message of an axis and return its train."""
+        axis = self._axes[number]
         axis.waiting = None if point.position is not None and not point.streamed else axis.waiting
         train = axis.trains.get(point.streamed)
         if train is None or self._time - train.time >= GAP:
-            train = axis.trains[point.streamed] = _Train(point, self._time, stamp)
+            train = axis.trains[point.streamed] = _Train(point, self._time, stamp, number in self._wrapping)
             train.find_origin()
         else:
             before = train.point
@@ -305,9 +312,7 @@ class Admission:
         there = there and not self._moved_by(axis, train, place)
         if alone:
             return chosen if there else None
-        assert train.before is not None
-        assert train.before.position is not None
-        stepped = train.held >= _HELD and abs(position - train.before.position) > JOIN_DISTANCE
+        stepped = train.held >= _HELD and train.step > JOIN_DISTANCE
         if train.same == 1 and (there or (stepped and position != axis.barred)):
             return chosen
         axis.barred = position
@@ -337,7 +342,7 @@ class Admission:
             fastest = max(abs(velocity), abs(before.velocity or 0.0))
             if train.point.velocity is None:
                 return
-            if abs(position - before.position) <= JOIN_DISTANCE + fastest * (max(train.elapsed, 0.0) + RESUME_TIME):
+            if train.step <= JOIN_DISTANCE + fastest * (max(train.elapsed, 0.0) + RESUME_TIME):
                 return
         ahead = abs(velocity) * (RESUME_TIME if joined else JOIN_TIME)
         if place.distance(position) > JOIN_DISTANCE + ahead:
@@ -385,8 +390,12 @@ def _driven(train: _Train) -> _Drive:
             return _Drive.VELOCITY
         ended = train.drive is _Drive.VELOCITY and not train.velocity_commanded
         return _Drive.PATH if ended else train.drive
-    stepped = train.steps > 1 or (train.steps == 1 and abs(point.position - before.position) > JOIN_DISTANCE)
+    stepped = train.steps > 1 or (train.steps == 1 and train.step > JOIN_DISTANCE)
     return _Drive.POSITION if stepped else _Drive.PATH
+
+
+def _distance(one: float, other: float, *, wraps: bool) -> float:
+    return abs(math.remainder(one - other, math.tau) if wraps else one - other)
 
 
 def _where(place: Place, position: float) -> str:

@@ -164,7 +164,7 @@ class Arbiter:
         velocity, holder = joint.velocity(status.speed), self.sources.holder(axis)
         moves = axis in self.queue.following or self.sources.age(axis) < SETTLING or abs(velocity) > JOIN_SPEED
         other = holder.topic if holder is not None and holder.topic != topic and moves else ""
-        return Place(joint.name, position, velocity, holder, other, streaming)
+        return Place(joint.name, position, velocity, holder, other, streaming, joint.wraps)
 
     def admit(self, source: str, axes: Iterable[int]) -> None:
         """Check that some axes may follow a path; as `submit`, without values.

@@ -55,7 +55,9 @@ class JointCommands:
         self._interfaces = interfaces
         self._offset_ns = offset_ns
         self._wall_ns = wall_ns
-        self._admission = Admission(_SOURCE)
+        wrapping = [axis for axis, joint in enumerate(context.arbiter.joints) if joint.wraps]
+        self._admission = Admission(_SOURCE, wrapping)
+        self._streamed: dict[int, float] = {}  # newest position of the stream of each axis [rad]
         self._arrivals_ns: dict[int, int] = {}  # of the newest message of each axis, steady clock [ns]
         context.node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
 
@@ -107,8 +109,7 @@ class JointCommands:
             places = {
                 axis: context.arbiter.place(_SOURCE, axis, streaming=self._streamer.streams(axis)) for axis in points
             }
-            points = {axis: self._unwrapped(axis, point, places[axis]) for axis, point in points.items()}
-            self._check(points, places)
+            self._check(self._unwrapped(points, places), places)
         except Rejected:
             self._admission.observe(points, stamp)
             raise
@@ -118,7 +119,7 @@ class JointCommands:
         if admitted.stop:
             context.arbiter.queue.halt(admitted.stop, f"contradictory set-points on {_SOURCE} stopped it")
         if admitted.points:
-            self._submit(admitted.points, stamp, arrival)
+            self._submit(self._unwrapped(admitted.points, places), stamp, arrival)
         return next(iter(admitted.refused), None)
 
     def _check(self, points: Mapping[int, JointSetPoint], places: Mapping[int, Place]) -> None:
@@ -151,16 +152,24 @@ class JointCommands:
             assert arrival is not None
             context.arbiter.admit(_SOURCE, streamed)
             self._streamer.take(streamed, stamp, arrival, limits)
+            self._streamed |= {axis: point.position for axis, point in streamed.items() if point.position is not None}
             self._streamer.advance(arrival)
         context.accept()
 
-    def _unwrapped(self, axis: int, point: JointSetPoint, place: Place) -> JointSetPoint:
-        """Set-point with the angle of a joint that wraps by the shortest way from its stream, or from the joint."""
-        if point.position is None:
-            return point
-        joint = self._context.arbiter.joints[axis]
-        streamed = self._admission.streamed(axis) if place.streaming else None
-        return replace(point, position=joint.nearest(point.position, place.position if streamed is None else streamed))
+    def _unwrapped(self, points: Mapping[int, JointSetPoint], places: Mapping[int, Place]) -> dict[int, JointSetPoint]:
+        """Set-points with the angles of joints that wrap by the shortest way from the stream, or from the joint.
+
+        The admission compares the angles as they were sent: unwrapped, a repeated one changes by a turn when its joint
+        passes the opposite side.
+        """
+        result = dict(points)
+        for axis, point in points.items():
+            if point.position is not None:
+                place = places[axis]
+                reference = self._streamed[axis] if place.streaming else place.position
+                position = self._context.arbiter.joints[axis].nearest(point.position, reference)
+                result[axis] = replace(point, position=position)
+        return result
 
     def _board_time(self, now_ns: int) -> float | None:
         offset = self._offset_ns()

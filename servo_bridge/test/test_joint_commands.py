@@ -203,6 +203,25 @@ def test_controllers_that_repeat_old_positions_move_nothing_and_are_logged_once(
     assert min(point.position for point in points(ready)) > 4.9
 
 
+@pytest.mark.parametrize("velocity", [None, [0.0, 0.0]])
+def test_an_angle_that_is_repeated_does_not_change_when_the_joint_passes_the_opposite_side(
+    velocity: list[float] | None,
+) -> None:
+    with Rig(wraps=[True, True]) as rig:
+        for name, value in (("speed", 300.0), ("acceleration", 4000.0), ("i_q", 2.0)):
+            variable = CATALOGUE[f"param.{name}_limit"]
+            rig.link.parameters[variable.name] = [variable.to_raw(value)] * 2
+        rig.enable_axes()
+        rig.until(lambda: rig.messages[topics.PARAMETERS])
+        for place in (0.0, -0.3, 0.0, -0.3):  # the shorter way to 3 rad is positive from 0, negative from -0.3
+            put(rig, place, place)
+            until_at(rig, place)
+            for _ in range(15):
+                send(rig, [3.0, 3.0], velocity)
+        assert rig.link.written == []
+        assert rig.rejections()
+
+
 def test_a_single_position_is_executed_and_a_newer_one_of_another_topic_replaces_it(ready: Rig) -> None:
     send(ready, [1.0, 1.0])
     ready.position.publish(Float64(data=2.0))
