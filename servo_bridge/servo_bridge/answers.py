@@ -7,7 +7,7 @@ from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from servo_msgs_py.answers import TICKET, Answer, answer_message
+from servo_msgs_py.answers import TICKET, Answer, Phase, answer_message
 from servo_msgs_py.runtime.qos import answers_qos
 
 from servo_msgs_py import topics
@@ -31,6 +31,11 @@ class Answers:
     def known(self, ticket: str) -> bool:
         """Whether a command with this ticket was answered, so that this message is a repetition."""
         return ticket in self._last
+
+    def refused(self, ticket: str) -> bool:
+        """Whether a command with this ticket was refused: its sender may not know that yet, and repeat it."""
+        last = self._last.get(ticket)
+        return last is not None and last.phase is Phase.REFUSED
 
     def publish(self, answer: Answer) -> None:
         """Publish an answer, unless the command has no ticket, or was answered so before."""

@@ -79,7 +79,10 @@ class JointCommands:
             self._streamer.advance(now)
 
     def _on_command(self, message: JointState) -> None:
-        self._take(lambda: self._request(message, time.monotonic_ns()), message.header.frame_id)
+        ticket = message.header.frame_id
+        if self._answers.refused(ticket) or (self._answers.known(ticket) and len(message.position)):
+            return  # repeated by its sender, which has not received the answer yet; velocities and efforts are renewed
+        self._take(lambda: self._request(message, time.monotonic_ns()), ticket)
 
     def _take(self, execute: Callable[[], Rejected | None], ticket: str = "") -> None:
         """Execute and count set-points; `execute` returns the refusal of some of the joints, if any."""

@@ -244,3 +244,44 @@ def test_a_position_with_a_ticket_is_executed_beside_a_controller_that_is_refuse
         send(ready, [0.0, 0.0])
     raw = (round(6.0 / CATALOGUE["cmd.position"].lsb),)
     assert written(ready, "cmd.position") == [(1, raw)]
+
+
+def with_ticket(rig: Rig, ticket: str, **quantities: list[float]) -> None:
+    """Send a command of axis 2 with a ticket, and let the bridge take it."""
+    message = JointState(name=["axis2"], **quantities)
+    message.header.frame_id = ticket
+    rig.joint_commands.publish(message)
+    until = time.monotonic() + 0.4  # longer than the delay of an isolated position
+    while time.monotonic() < until:
+        sample(rig)
+        rig.executor.spin_once(timeout_sec=0.01)
+
+
+def test_a_repeated_position_with_an_answered_ticket_is_ignored(ready: Rig) -> None:
+    """The sender repeats it, because the answer is late; meanwhile the joint was commanded otherwise."""
+    ticket = new_ticket("test")
+    with_ticket(ready, ticket, position=[1.0])
+    assert len(written(ready, "cmd.position")) == 1
+    ready.joint_commands.publish(JointState(name=["axis2"], velocity=[0.0]))
+    with_ticket(ready, ticket, position=[1.0])
+    assert len(written(ready, "cmd.position")) == 1
+
+
+def test_a_refused_command_is_not_executed_when_it_is_repeated(rig: Rig) -> None:
+    rig.connect(OFF, OFF)
+    rig.until(lambda: rig.messages[topics.PARAMETERS])
+    ticket = new_ticket("test")
+    with_ticket(rig, ticket, velocity=[1.0])
+    rig.until(rig.rejections)
+    rig.link.set_states(SPIN, SPIN)
+    rig.enable(True)
+    rig.until(rig.armed)
+    with_ticket(rig, ticket, velocity=[1.0])
+    assert written(rig, "cmd.speed") == []
+
+
+def test_a_velocity_is_renewed_with_its_ticket(ready: Rig) -> None:
+    ticket = new_ticket("test")
+    for _ in range(3):
+        with_ticket(ready, ticket, velocity=[1.0])
+    assert len(written(ready, "cmd.speed")) == 3
