@@ -45,10 +45,12 @@ static void write_word(servo_t *servo, uint16_t *element, uint16_t value)
     latch_mark(&servo->marks, (uint16_t)((uint8_t *)element - (uint8_t *)&servo->command), sizeof *element);
 }
 
+/* True if the axis has another block than at the beginning, or may get one in the next slow tick. */
 static bool has_other_block(const servo_t *servo)
 {
     const measurement_t *measurement = &servo->measurement;
-    return servo->config_status.checksum[measurement->axis] != measurement->checksum;
+    return servo->config_blocks.pending != 0U ||
+           servo->config_status.checksum[measurement->axis] != measurement->checksum;
 }
 
 void measurement_end(servo_t *servo, measurement_end_t reason)

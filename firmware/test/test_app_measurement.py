@@ -190,6 +190,25 @@ def test_first_command_after_a_silence_begins_a_session(bench: Session) -> None:
     assert bench.state == OPEN
 
 
+@pytest.mark.parametrize("enabled", [False, True])
+def test_blocks_pending_at_the_end_are_taken_back(bench: Session, enabled: bool) -> None:
+    """The board restores its values after the next slow tick, in which it takes them."""
+    if enabled:
+        bench.to_spin(0)
+    before = bench.values()
+    assert bench.begin()
+    block = read_block(bench, 0)
+    send_block(bench, 0, {**block, "current_loop.d.kp": block["current_loop.d.kp"] - 1})
+    assert bench.write_words("config.take", [1])
+    bench.close()
+    bench.core.lib.servo_background(bench.servo)  # before the next slow tick
+    bench.background(3)
+    bench.until_restored(4000)
+    assert {name: bench.values()[name] for name in ("blocks", "checksum")} == {
+        name: before[name] for name in ("blocks", "checksum")
+    }
+
+
 def test_keep_alives_continue_a_session(bench: Session) -> None:
     assert bench.begin()
     for _ in range(5):
