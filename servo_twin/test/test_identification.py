@@ -347,6 +347,25 @@ def test_host_pause_ends_the_motion(mode: str) -> None:
         assert _state(board) == before
 
 
+@pytest.mark.parametrize("step", ["torque pulses", "running at several speeds"])
+def test_nothing_is_changed_after_the_board_has_ended_the_session(step: str) -> None:
+    """While the outputs are off no fault shows that the board has restored its values; later changes would remain."""
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        board.run(0.05)
+        before = _state(board)
+        access = _Watched(board)
+
+        def end_session(text: str) -> None:
+            if text.startswith(step):
+                assert not access.write_words("measurement.axis", [2])
+                board.run(0.1)
+
+        with pytest.raises(MeasurementError, match="has ended the session"):
+            MotorTest(access, 0, LIMITS, servo_table(), end_session).run()
+        board.run(0.05)
+        assert _state(board) == before
+
+
 @pytest.mark.parametrize(("axis", "reason"), [(0, "axis1 is enabled"), (1, "axis2 is enabled")])
 def test_identification_is_refused_with_an_enabled_axis(axis: int, reason: str) -> None:
     class Silent(_Watched):

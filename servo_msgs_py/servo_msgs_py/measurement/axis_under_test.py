@@ -79,9 +79,11 @@ class AxisUnderTest:
 
     def write(self, variable: str, value: float) -> None:
         """Write an element [SI] of an array variable."""
+        self._check_session(variable)
         self.access.write(variable, [value], self.axis)
 
     def write_word(self, variable: str, raw: int) -> None:
+        self._check_session(variable)
         if not self.access.write_words(variable, [raw], self.axis):
             raise MeasurementError(f"{variable}: the board refuses {raw}")
 
@@ -222,6 +224,7 @@ class AxisUnderTest:
 
     def enable(self, substate: str, seconds: float) -> None:
         """Enable the outputs and wait for a substate, up to `seconds` [s]."""
+        self.refuse_ended_session()
         self.write_word("cmd.enable", 1)
         problem = f"has not reached {substate}"
         self.until(lambda: self.substate == substate, seconds, problem, ": check the board")
@@ -270,6 +273,19 @@ class AxisUnderTest:
             ": an external torque moves the shaft; the board restores it at rest, and is not enabled before",
             refuse_on_fault=False,
         )
+
+    def refuse_ended_session(self) -> None:
+        """Raise an error if the board has ended the session and restored its values: further changes would remain."""
+        if self._session_state() != "OPEN":
+            raise MeasurementError(
+                "the board has ended the session, because no keep-alive arrived in time or another program has stopped it, "
+                "and restores its values: measure again, with less load on the computer and no other program"
+            )
+
+    def _check_session(self, variable: str) -> None:
+        """Parameters are written in a session only."""
+        if variable.startswith("param."):
+            self.refuse_ended_session()
 
     def _session_state(self) -> str:
         (raw,) = self.access.read_words("measurement.state")

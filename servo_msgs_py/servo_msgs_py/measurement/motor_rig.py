@@ -177,6 +177,7 @@ class MotorRig(AxisUnderTest):
     def search_rotor(self) -> None:
         """Enable with a rotor search. Its faults are excluded by the rotating vector: it is repeated."""
         for _ in range(SEARCHES - 1):
+            self.refuse_ended_session()
             self.write_word("cmd.enable", 1)
             self.reached(lambda: self.substate == "SPIN" or self.label("state") == "FAULT", 8.0, refuse_on_fault=False)
             if self.substate == "SPIN":
@@ -218,6 +219,7 @@ class MotorRig(AxisUnderTest):
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
         AxisConfigTable.load().check(block)
+        self.refuse_ended_session()
         self.wait(0.0)  # refreshes the set-point before and after this long exchange
         send_configuration(self.access, {self.axis: block})
         self.wait(0.0)
