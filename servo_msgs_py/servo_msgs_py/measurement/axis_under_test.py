@@ -278,8 +278,8 @@ class AxisUnderTest:
         """Raise an error if the board has ended the session and restored its values: further changes would remain."""
         if self._session_state() != "OPEN":
             raise MeasurementError(
-                "the board has ended the session, because no keep-alive arrived in time or another program has stopped it, "
-                "and restores its values: measure again, with less load on the computer and no other program"
+                "the board has ended the session and restores its values, because no keep-alive arrived in time or "
+                "another program has stopped it: measure again, with less load on the computer and no other program"
             )
 
     def _check_session(self, variable: str) -> None:
