@@ -57,6 +57,11 @@ class CallbackWatch:
         self._last = self._ever = CallbackTime()
         self._pause_last = self._pause_ever = 0.0
 
+    def begin(self) -> None:
+        """Expect signs of life from now on, and measure their pauses."""
+        self._sign = self._clock()
+        self._pause_last = self._pause_ever = 0.0
+
     def timed(self, name: str, function: Callable[P, T]) -> Callable[P, T]:
         """Return the function with its durations measured under a name."""
 

@@ -263,6 +263,7 @@ class Supervisor:
 
     def _start_timers(self) -> None:
         node, steady = self._node, Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch.begin()
         node.create_timer(_SIGN_OF_LIFE, self._watch.sign_of_life, clock=steady)
         self._pace_keep_alive()
         node.create_timer(1.0, self._every_second, clock=steady)

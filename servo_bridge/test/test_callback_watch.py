@@ -100,3 +100,15 @@ def test_slow_callback_is_named_in_the_diagnostics(rig: Rig, monkeypatch: pytest
         values["longest callback since the start [ms]"]
     ) >= float(values["longest callback [ms]"])
     assert status.level == status.WARN
+
+
+@pytest.mark.realtime
+def test_time_before_the_configuration_is_no_pause() -> None:
+    """Without a supervisor nothing gives signs of life."""
+    with Rig(autostart=False) as rig:
+        watch = rig.bridge.watch
+        watch._sign -= 60.0
+        rig.bridge.trigger_configure()
+        assert watch.hang() == ""
+        watch.sign_of_life()
+        assert watch.report().pause_ever < 10.0
