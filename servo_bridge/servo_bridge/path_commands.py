@@ -28,10 +28,7 @@ _SOURCE: Final = topics.JOINT_TRAJECTORY
 _BYTES_MAX: Final = 4_000_000
 """Largest message [bytes]: `WAYPOINTS_MAX` points of two joints with all fields have 3 MB."""
 
-_LAPSED: Final = (
-    f"its sender has not renewed it for {LEASE_TIMEOUT:g} s (ended, suspended, or lost); the joints have stopped and "
-    "hold"
-)
+_LAPSED: Final = f"its sender has not renewed it for {LEASE_TIMEOUT:g} s (ended, suspended, or lost)"
 
 
 class Lease:
@@ -85,7 +82,7 @@ class _Sender:
         if outcome.phase is tolerances.Phase.SUCCEEDED:
             self._say(Phase.SUCCEEDED, outcome.text)
         else:
-            text = _LAPSED if goal.canceled else outcome.text
+            text = f"{_LAPSED}: {outcome.text}" if goal.canceled else outcome.text
             self._warn(f"the trajectory {self._ticket} of {', '.join(goal.joints)} has ended: {text}")
             self._say(Phase.ABORTED if self._begun else Phase.REFUSED, text, outcome.code)
 

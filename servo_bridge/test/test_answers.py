@@ -188,6 +188,20 @@ def test_sender_that_ends_stops_the_joints(sender: Sender, monkeypatch: pytest.M
 
 
 @pytest.mark.realtime
+def test_sender_that_ends_before_the_start_of_its_trajectory_stops_nothing(
+    sender: Sender, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(path_commands, "LEASE_TIMEOUT", 0.2)
+    message = trajectory(*LONG)
+    message.header.stamp.sec = int(time.time()) + 100
+    sender.ticket = message.header.frame_id = f"{TICKET}later"
+    sender.repeat(message)
+    answer = sender.result()
+    assert answer.phase is Phase.REFUSED
+    assert answer.text.endswith("cancelled before it began")
+
+
+@pytest.mark.realtime
 def test_an_empty_trajectory_succeeds_when_the_joints_have_stopped(sender: Sender) -> None:
     running(sender)
     first = sender.ticket
