@@ -150,7 +150,9 @@ def test_path_that_is_not_followed_to_its_end_is_aborted(sender: Sender, event: 
         rig.link.set_states(FAULT, SPIN)
         text = "axis1 is in FAULT"
     elif event == "set_point":
-        rig.joint_commands.publish(JointState(name=["axis1"], position=[0.0]))
+        command = JointState(name=["axis1"], position=[0.0])
+        command.header.frame_id = new_ticket("test")  # otherwise executed later, by the clock of the host
+        rig.joint_commands.publish(command)
         text = "a set-point on joint_commands took over"
     elif event == "link":
         rig.link.disconnect()
