@@ -156,12 +156,17 @@ class Arbiter:
                 targets[axis] = request.source, Target(request.mode, self._raw(request, axis))
         return targets
 
+    def velocity(self, axis: int) -> float:
+        """Measured velocity of a joint [rad/s]; after `check_ready`."""
+        assert self._axes is not None
+        return self.joints[axis].velocity(self._axes[axis].speed)
+
     def place(self, topic: str, axis: int, *, streaming: bool) -> Place:
         """State of an axis that a set-point of a topic wants to join; after `check_ready`."""
         assert self._axes is not None
         status, joint = self._axes[axis], self.joints[axis]
         position = joint.position(status.position * self._variables[Mode.POSITION].lsb)
-        velocity, holder = joint.velocity(status.speed), self.sources.holder(axis)
+        velocity, holder = self.velocity(axis), self.sources.holder(axis)
         moves = axis in self.queue.following or self.sources.age(axis) < SETTLING or abs(velocity) > JOIN_SPEED
         other = holder.topic if holder is not None and holder.topic != topic and moves else ""
         return Place(joint.name, position, velocity, holder, other, streaming, joint.wraps)

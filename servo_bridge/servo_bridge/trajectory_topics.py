@@ -79,8 +79,11 @@ class TrajectoryTopics:
         limits = self._context.limits()
         if limits is None:
             raise NotReady(f"{source}: the board has not reported its limits yet; call quick_stop to stop now")
-        speeds = self._follower.running().select(joints).state(self._follower.now).velocity
-        times = [abs(speed) / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
+        paths = self._follower.running().select(joints).state(self._follower.now).velocity
+        speeds = [
+            max(abs(path), abs(self._context.arbiter.velocity(axis))) for path, axis in zip(paths, axes, strict=True)
+        ]
+        times = [speed / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
         self._context.arbiter.queue.halt(axes, reason or f"an empty trajectory on {source} stopped it")
         self._context.accept()
         self._info(f"stopping {', '.join(joints)} for {source}")

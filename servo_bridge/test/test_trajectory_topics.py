@@ -122,3 +122,14 @@ def test_a_set_point_replaces_the_path(rig: Rig) -> None:
     for _ in range(20):
         sampled(rig)
     assert len(sampled(rig)) == known
+
+
+def test_a_stop_takes_as_long_as_the_shaft_needs_if_no_path_moves_it(rig: Rig) -> None:
+    """As with a velocity set-point; joints of a path have its velocity."""
+    rig.link.values["axis1.speed"] = CATALOGUE["axis1.speed"].to_raw(-200.0)
+    rig.link.sample()
+    supervisor = rig.bridge.supervisor
+    assert supervisor is not None
+    rig.until(lambda: rig.messages[topics.JOINT_STATES] and rig.messages[topics.JOINT_STATES][-1].velocity[0] < -199.0)
+    end = supervisor._trajectories.stop("test", ["axis1"])
+    assert end - supervisor._follower.now == pytest.approx(0.1 + 200.0 / 4000.0, abs=1e-3)
