@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Iterator
 from typing import Any, Final
 
+import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from servo_msgs_py.tuning.acceptance import refusal_of
@@ -78,3 +79,12 @@ def test_entries_without_an_accepted_value_are_named() -> None:
     error = refused("axis1.limits.speed", 600.0, "too high", lower("axis1.friction.smooth"))
     error.try_with(with_value(table(), "axis1.limits.speed", 600.0))
     assert str(error) == "axis1.limits.speed = 600: too high; no other value of axis1.friction.smooth alone is accepted"
+
+
+@pytest.mark.parametrize(("k_1", "remedy"), [(-100.0, "-1940 or less"), (-15000.0, "-8360 or more")])
+def test_bound_of_a_negative_value_is_on_the_accepted_side(k_1: float, remedy: str) -> None:
+    """A remedy changes the magnitude; `less` than a negative number has a larger one."""
+    k_2 = 2000.0 if k_1 > -1000.0 else 5000.0
+    whole = table(axis1__observer__k_1=k_1, axis1__observer__k_2=k_2, axis1__feedback="observer")
+    error = refusal_of(whole)
+    assert f"axis1.observer.k_1 = {remedy}" in str(error)

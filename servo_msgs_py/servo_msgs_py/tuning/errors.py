@@ -35,7 +35,7 @@ class Remedy:
     """Change of one entry that removes a refusal or a warning."""
 
     entry: str  # full name, such as board.dead_time or axis1.motor.inertia, or an option of a program
-    directions: tuple[int, ...]  # `RAISE`, `LOWER`: the value or one beyond it; `EXACT`: the value itself
+    directions: tuple[int, ...]  # of the magnitude: `RAISE`, `LOWER`: the value or one beyond it; `EXACT`: the value
     value: float | None = None  # in the unit of the entry; None: not computed
     whole: bool = False  # whether the value is an integer
 
@@ -46,7 +46,8 @@ class Remedy:
             name = "it" if own else self.entry
             verb = _VERBS.get(self.directions, "correct")
             return f"{verb} {name}"
-        bound = {RAISE: " or more", LOWER: " or less", EXACT: ""}[self.directions[0]]
+        sign = -1 if self.value < 0.0 else 1
+        bound = {RAISE: " or more", LOWER: " or less", EXACT: ""}[sign * self.directions[0]]
         name = "" if own else f"{self.entry} " if self.entry.startswith("--") else f"{self.entry} = "
         return f"write {name}{self.value:g}{bound}"
 
