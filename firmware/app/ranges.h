@@ -20,7 +20,8 @@ typedef struct {
 } ranges_memory_t;
 
 /* Check a write of `size` bytes at `offset`, of the bits set in `mask` (NULL: all). Position set-points must also be
- * within POSITION_REACH of the shaft, and the configuration must have the constants of a feature or a feedback. The server must be locked. */
+ * within POSITION_REACH of the shaft, and the configuration must have the constants of a feature or a feedback. The
+ * server must be locked. */
 bool ranges_accept(const ranges_memory_t *in, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size);
 
 /* Raw value of an element of a variable: read, write, range check. */

@@ -17,8 +17,9 @@
 /* VERIFY waits for the end of a swing for at most this many hold times. */
 #define SWING_OVER_HOLD UINT16_C(8)
 
-/* Speed of the vector in DIRECTION, relative to VERIFY. */
+/* Speed of the vector in DIRECTION, relative to VERIFY, and its largest step per slow tick. */
 #define DIRECTION_OVER_VERIFY UINT16_C(8)
+#define DIRECTION_STEP_MAX (QUARTER_TURN / 2U)
 
 /* The direction of the encoder is tested when the shaft has run away from the assumed position this often (once may be a
  * disturbance); the search ends as no movement when it has not followed this often (twice may be a start too close to an
@@ -344,12 +345,14 @@ static void direction_step(rotor_search_t *search, const rotor_search_config_t *
         search->current = f32_limit((int64_t)search->current + config->current_step, limit);
         return;
     }
-    const uint16_t step = (uint16_t)(DIRECTION_OVER_VERIFY * config->verify_step);
+    const uint32_t wanted = (uint32_t)DIRECTION_OVER_VERIFY * config->verify_step;
+    const uint16_t step = (uint16_t)((wanted < DIRECTION_STEP_MAX) ? wanted : DIRECTION_STEP_MAX);
     const uint16_t half = (uint16_t)(HALF_TURN / step);
     const int32_t moved = i32_sub_wrap(position, search->origin);
     search->vector = f16_add_wrap(search->vector, (frac16_t)step);
     if (search->timer >= half) {
-        search->half_turns_sum += (search->timer < 2U * (uint32_t)half) ? -moved : moved;
+        search->half_turns_sum =
+            f32_add(search->half_turns_sum, (search->timer < 2U * (uint32_t)half) ? -moved : moved);
     }
     search->timer++;
     if (search->timer >= 3U * (uint32_t)half) {

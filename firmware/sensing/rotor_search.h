@@ -51,7 +51,7 @@ typedef enum {
     ROTOR_SEARCH_REVERSED, /* failed: the encoder counts in the wrong direction */
     ROTOR_SEARCH_LOW_CURRENT, /* failed: less than a quarter of the requested current flows */
     ROTOR_SEARCH_HOLD, /* search with a holding brake: rotor_hold.h */
-    ROTOR_SEARCH_DIRECTION, /* the shaft has run away: rotation of the vector by one turn, evaluated by the count */
+    ROTOR_SEARCH_DIRECTION, /* the shaft has run away: rotation of the vector, evaluated by the count */
 } rotor_search_phase_t;
 
 typedef struct {
@@ -78,7 +78,7 @@ typedef struct {
      * the check, then the angle of the vector at full current. Q1.15 of pi. */
     frac16_t lead_angle;
     bool verified; /* VERIFY: the shaft has returned; found as soon as it rests */
-    int32_t half_turns_sum; /* DIRECTION: positions of the second half turn minus those of the first, counts */
+    int32_t half_turns_sum; /* DIRECTION: positions of the third half turn minus those of the second, counts */
     uint16_t runaways; /* times that the shaft ran away from the assumed position */
     uint16_t verify_failures; /* times that the shaft did not follow in VERIFY, or moved only in TURN */
     uint32_t balance_angle; /* HOLD: angle of the vector at which the shaft keeps its position, 2^32 is one turn */

@@ -515,6 +515,24 @@ def test_only_an_encoder_that_counts_against_the_vector_is_reversed(
     assert s.phase == phase
 
 
+@pytest.mark.parametrize("step", [4096, 6000, 8192])
+def test_the_direction_is_found_with_the_fastest_rotation(stepped: Stepped, step: int) -> None:
+    """The largest steps that a board accepts: the vector must not rotate by half a turn or more per tick."""
+    s, config = stepped.state, stepped.config
+    stepped.to_verification()
+    s.runaways = 2
+    s.phase, s.current, s.current_decaying, s.timer = REST, 0, False, 0
+    stepped.until(DIRECTION)
+    stepped.to_full_current()
+    config.verify_step = step
+    turned, before = 0.0, s.vector
+    while s.phase == DIRECTION:
+        stepped.step(round(-turned * 4000 / (65536 * 2)))
+        turned += (s.vector - before) % 65536
+        before = s.vector
+    assert s.phase == REVERSED
+
+
 @pytest.mark.parametrize("back", [False, True])
 def test_brake_ends_when_the_shaft_reverses(stepped: Stepped, back: bool) -> None:
     s = stepped.state
