@@ -87,8 +87,6 @@ class Arbiter:
         self._link = reason
         if self._axes is not None:
             self.block("the link to the board was lost")
-        for axis in range(AXES):
-            self.sources.release(axis)
         self.queue.link_lost()
         self._axes = None
         self._torque_constants = None

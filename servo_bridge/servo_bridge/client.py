@@ -103,7 +103,3 @@ class Client(Node):
                 return False
             self.step()
         return True
-
-    def spin_for(self, seconds: float) -> None:
-        """Wait for a time [s]."""
-        self.holds(lambda: False, seconds)
