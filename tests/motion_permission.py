@@ -103,7 +103,7 @@ class Permission:
         self.violations: list[Violation] = []  # the first one of each joint
         self._limits, self._ratios = limits, ratios
         self._ranges = [(-math.inf, math.inf)] * AXES  # permitted positions [rad]
-        self._bounds = list(limits)  # limits that hold now: a joint outside may return, a velocity has none [rad]
+        self._bounds = list(limits)  # limits that hold now: a joint outside may return [rad]
         self._speeds = [math.inf] * AXES  # permitted speeds [rad/s]
 
     def renew(self, motion: Motion, *, search: bool = False) -> None:
@@ -121,8 +121,7 @@ class Permission:
                 speeds.append(SPEED_FACTOR * command.speeds[axis] + REST_SPEED)
             self._ranges[axis], self._speeds[axis] = (low, high), max(speeds)
             lowest, highest = self._limits[axis]
-            endless = not math.isfinite(low) or not math.isfinite(high)
-            self._bounds[axis] = (low, high) if endless else (min(lowest, position), max(highest, position))
+            self._bounds[axis] = min(lowest, position), max(highest, position)
 
     def begin(self, command: Command, motion: Motion) -> None:
         """Permit a command, in addition to the valid ones."""

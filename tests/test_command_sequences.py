@@ -36,6 +36,10 @@ CASES = {
         Setup(joints="limited"),
         [Step("goal", 1.5, distance=4.0, time=1.0), Step("goal", 1.5, distance=-0.5)],
     ),
+    "velocity towards a limit": (
+        Setup(joints="limited"),
+        [Step("activate", controller="velocity"), Step("goal", 2.0, distance=8.0, time=1.0), Step("activate")],
+    ),
     "no bytes for 0.25 s during a goal": (
         Setup(),
         [Step("goal", 0.6, distance=4.0, time=2.0), Step("stall", 2.0, time=0.25)],

@@ -8,7 +8,8 @@ integers in motor units.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
@@ -19,12 +20,15 @@ from servo_bridge.admission import JOIN_SPEED, SETTLING, Place
 from servo_bridge.set_point_queue import TARGETS, SetPointQueue, Target
 from servo_bridge.set_point_sources import Source, Sources
 from servo_bridge.set_points import Mode, NotReady, Rejected, SetPointRequest
+from servo_bridge.trajectory.check import Limits
 
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
 _REMEDY = "send a value within this range, or change the limits in the parameters of the bridge"
 _BOARD = "this is the range of the board; send a value within it"
 _REACH = "one set-point may not be farther from the shaft; move in steps"
 _NOT_ENABLED = "the outputs have not been enabled by this bridge"
+_STOP_DELAY = 0.1
+"""Time from a sample to the effect of the stop that it causes [s]: two exchanges at 115200 baud, with a reserve."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class Arbiter:
         In the order of the axes.
     sources : Sources, optional
         Detects sources that contradict each other.
+    limits : callable
+        Present limits of every joint, for the distance of a stop; None if the board has not reported them yet.
     """
 
     def __init__(
@@ -57,12 +63,16 @@ class Arbiter:
         catalogue: Catalogue,
         joints: Sequence[Joint],
         sources: Sources | None = None,
+        limits: Callable[[], Sequence[Limits] | None] = lambda: None,
     ) -> None:
         self.queue = SetPointQueue()  # of the accepted set-points
         self.sources = sources or Sources()
         self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in TARGETS.items()}
         self._joints = joint_names(joints)
         self.joints = list(joints)
+        self._limits = limits
+        self._heading = [0.0] * AXES  # sign of the velocity or effort that an axis follows; 0: none
+        self._blocked_heading = [0.0] * AXES  # sign of the one that was stopped at the end of the range; 0: none
         self._reach = catalogue.bits["position"]["REACH"]
         self._torque_constants: list[float] | None = None
         self._axes: list[AxisStatus] | None = None
@@ -77,6 +87,39 @@ class Arbiter:
         for axis, status in enumerate(axes):
             if not status.accepts_set_points:
                 self.release_axis(axis, f"{self._joints[axis]} is in {status.label}")
+
+    def stop_at_limits(self) -> list[str]:
+        """Stop the joints that a velocity or an effort would turn out of their range; returns the reasons.
+
+        Set-points that go on in the same direction are refused then. The range is that of the bridge; the board knows
+        only that of its feature POSITION_LIMITS.
+        """
+        free = [axis for axis in range(AXES) if self._heading[axis] and self.joints[axis].limits.bounded]
+        limits = self._limits() if free and self._axes is not None else None
+        if limits is None:
+            return []
+        reasons = []
+        for axis in free:
+            position, velocity, heading = self._position(axis), self.velocity(axis), self._heading[axis]
+            rest = position + velocity * (_STOP_DELAY + 0.5 * abs(velocity) / limits[axis].acceleration_max)
+            if velocity * heading > 0.0 and self._is_beyond(axis, rest, heading):
+                self._blocked_heading[axis], self._heading[axis] = heading, 0.0
+                reasons.append(
+                    f"{self._joints[axis]} is stopped at {position:.4g} rad and {velocity:.3g} rad/s: it would leave "
+                    "its range"
+                )
+                self.queue.halt([axis], reasons[-1])
+        return reasons
+
+    def _position(self, axis: int) -> float:
+        """Position of a joint [rad]."""
+        assert self._axes is not None
+        return self.joints[axis].position(self._axes[axis].position * self._variables[Mode.POSITION].lsb)
+
+    def _is_beyond(self, axis: int, position: float, heading: float) -> bool:
+        """Whether a position is beyond the end of the range in a direction (sign)."""
+        limits = self.joints[axis].limits
+        return position > limits.position_max if heading > 0.0 else position < limits.position_min
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
         """Set the nominal torque per ampere of i_q of every axis [N m/A]."""
@@ -106,6 +149,7 @@ class Arbiter:
     def release_axis(self, axis: int, reason: str) -> None:
         """Discard the pending set-points and the path of an axis; a source must join it again (see `admission`)."""
         self.sources.release(axis)
+        self._head(axis, 0.0)
         self.queue.drop(axis, reason)
 
     @property
@@ -131,6 +175,8 @@ class Arbiter:
         targets = self.check(*requests)
         for request in requests:
             self._claim(Source(request.source, _QUANTITY[request.mode][0]), request.values)
+            for axis, value in request.values.items():
+                self._head(axis, 0.0 if request.mode is Mode.POSITION else math.copysign(bool(value), value))
         for axis, (source, target) in targets.items():
             self.queue.put(axis, target, f"a set-point on {source} took over")
 
@@ -151,6 +197,8 @@ class Arbiter:
         for request in requests:
             self.check_ready(request.source, request.values)
             for axis in request.values:
+                if request.mode is not Mode.POSITION:
+                    self._check_heading(request, axis)
                 targets[axis] = request.source, Target(request.mode, self._raw(request, axis))
         return targets
 
@@ -161,10 +209,8 @@ class Arbiter:
 
     def place(self, topic: str, axis: int, *, streaming: bool) -> Place:
         """State of an axis that a set-point of a topic wants to join; after `check_ready`."""
-        assert self._axes is not None
-        status, joint = self._axes[axis], self.joints[axis]
-        position = joint.position(status.position * self._variables[Mode.POSITION].lsb)
-        velocity, holder = self.velocity(axis), self.sources.holder(axis)
+        joint, holder = self.joints[axis], self.sources.holder(axis)
+        position, velocity = self._position(axis), self.velocity(axis)
         moves = axis in self.queue.following or self.sources.age(axis) < SETTLING or abs(velocity) > JOIN_SPEED
         other = holder.topic if holder is not None and holder.topic != topic and moves else ""
         return Place(joint.name, position, velocity, holder, other, streaming, joint.wraps)
@@ -180,6 +226,8 @@ class Arbiter:
         axes = list(axes)
         self.check_ready(source, axes)
         self._claim(Source(source, "trajectory"), axes)
+        for axis in axes:
+            self._head(axis, 0.0)
         self.queue.discard(axes)
 
     def check_ready(self, source: str, axes: Iterable[int]) -> None:
@@ -211,6 +259,27 @@ class Arbiter:
                 )
 
     # ---- details
+    def _head(self, axis: int, heading: float) -> None:
+        self._heading[axis] = heading
+        if heading != self._blocked_heading[axis]:
+            self._blocked_heading[axis] = 0.0
+
+    def _check_heading(self, request: SetPointRequest, axis: int) -> None:
+        """Refuse a velocity or an effort that leads out of the range of a joint at its end."""
+        value = request.values[axis]
+        if not value or not self.joints[axis].limits.bounded:
+            return
+        heading, position = math.copysign(1.0, value), self._position(axis)
+        if heading == self._blocked_heading[axis] or self._is_beyond(axis, position, heading):
+            quantity, unit = _QUANTITY[request.mode]
+            joint = self.joints[axis]
+            raise NotReady(
+                f"{request.source}: {quantity} of {joint.name} is {value:g} {unit}, but the joint is at the end of its "
+                f"range, at {position:.4g} rad of {joint.limits.position_min:g} .. {joint.limits.position_max:g} rad; "
+                "command the other direction, or a position",
+                kind=f"{joint.name} at the end of its range",
+            )
+
     def _claim(self, source: Source, axes: Iterable[int]) -> None:
         self.sources.claim(source, axes, self._joints, self.queue.following)
 

@@ -131,7 +131,7 @@ class Supervisor:
         self._telemetry = Telemetry(self._catalogue, self._link.layout.variables)
         self._board_clock = BoardClock(minimum_delay_ns=self._link.layout.size * 10 * 1_000_000_000 // settings.baud)
         self._wall = WallClock(lambda: node.get_clock().now().nanoseconds)
-        self._arbiter = Arbiter(self._catalogue, settings.joints)
+        self._arbiter = Arbiter(self._catalogue, settings.joints, limits=self._path_limits)
         self._arbiter.sources.preferred = settings.preferred_source
         self._inactive = f"the bridge is inactive; activate it first (ros2 lifecycle set /{full_name(node)} activate)"
         self._arbiter.inactive = self._inactive
@@ -425,6 +425,8 @@ class Supervisor:
         self._fault_records.on_snapshot(snapshot.tick, snapshot.faults)
         self._snapshot = snapshot
         self._arbiter.update_axes(snapshot.axes)
+        for text in self._arbiter.stop_at_limits():
+            self._warn(text)
         self._follower.on_sample(snapshot.tick, self._axis_reports(snapshot))
         self._joint_commands.advance()
         axes = [(joint, axis_name(axis)) for axis, joint in enumerate(self._settings.joints)]

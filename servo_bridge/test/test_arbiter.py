@@ -14,6 +14,7 @@ from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_point_sources import Conflict, Source, Sources
 from servo_bridge.set_points import Mode, Rejected, SetPointRequest
+from servo_bridge.trajectory.check import Limits
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits, joint_names
 from servo_msgs_py.timed_points import TimedPoint, encode_points
@@ -76,6 +77,39 @@ def test_a_joint_that_wraps_moves_by_the_shorter_way() -> None:
     subject.submit(request({0: -3.0, 1: -3.0}))
     _, write = drain(subject)
     assert [raw * LSB for raw in write.raw] == pytest.approx([2.0 * (4 * TURN - 3.0), -3.0], abs=LSB)
+
+
+@pytest.mark.parametrize("mode", [Mode.SPEED, Mode.TORQUE])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_velocity_or_an_effort_does_not_turn_a_joint_out_of_its_range(mode: Mode, way: float) -> None:
+    """At 20 rad/s a stop takes 0.05 rad, and 2 rad until it takes effect; from outside the way back is permitted."""
+    limits = [Limits(acceleration_max=4000.0)] * 2
+    subject = Arbiter(CATALOGUE, [Joint(name, limits=JointLimits(-5.0, 5.0)) for name in JOINTS], limits=lambda: limits)
+    subject.set_torque_constants(KT)
+    subject.release()
+
+    def axis1_at(position: float, speed: float) -> None:
+        moving = replace(SPINNING, position=round(way * position / LSB), speed=way * speed)
+        subject.update_axes((moving, SPINNING))
+
+    axis1_at(0.0, 0.0)
+    subject.submit(request({0: way * 0.01}, mode))
+    drain(subject)
+    axis1_at(2.9, 20.0)
+    assert not subject.stop_at_limits()
+    axis1_at(3.0, 20.0)
+    assert len(subject.stop_at_limits()) == 1
+    assert drain(subject) == [CommandWrite("cmd.mode", 0, (Mode.POSITION.value,))]
+    axis1_at(3.5, 0.0)
+    with pytest.raises(Rejected, match="at the end of its range"):
+        subject.submit(request({0: way * 0.01}, mode))
+    axis1_at(5.1, 0.0)
+    subject.submit(request({0: -way * 0.01}, mode))
+    axis1_at(5.0, -20.0)
+    assert not subject.stop_at_limits()
+    axis1_at(5.1, 0.0)
+    with pytest.raises(Rejected, match="at the end of its range"):
+        subject.submit(request({0: way * 0.01}, mode))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
