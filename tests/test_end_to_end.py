@@ -197,7 +197,7 @@ class TestNormalWork:
                 "servo-command", "sine", "axis1", "--amplitude", "6", "--frequency", "1", "--for", "10"
             )
             user.until(lambda: abs(user.messages["/servo/joint_states"][-1].velocity[0]) > 30.0, 20.0, "no motion")
-            assert command.stop(number) == 130
+            assert command.stop(number) == 128 + number
         finally:
             terminal.end()
             print(terminal.logs())

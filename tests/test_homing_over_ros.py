@@ -76,7 +76,7 @@ def test_position_is_set_restored_and_limits_apply(chain: Chain, user: User) -> 
     assert not known(user)
     assert "is homed" in command(chain, user, "zero", "axis1", "0.5")
     user.until(lambda: known(user) and abs(positions(user)[-1] - 0.5) < 0.01)
-    assert "position known" in command(chain, user, "state")
+    assert "home state known" in command(chain, user, "state")
 
     user.messages["/servo/joint_states"].clear()
     board.stop(signal.SIGTERM)

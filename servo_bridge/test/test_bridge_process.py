@@ -53,7 +53,7 @@ class Spinning(FakeServo):
         def written(address: int, data: bytes) -> None:
             assert note is not None
             note(address, data)
-            if self.written[-1][0] == "cmd.enable":
+            if self.written and self.written[-1][0] == "cmd.enable":  # the boot token is not among them
                 self._show(data[0])
 
         self.on_write = written
