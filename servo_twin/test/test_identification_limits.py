@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
 import pytest
@@ -13,6 +14,7 @@ from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import Limits
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.cli import main
 from servo_twin.firmware_build import servo_table
 from servo_twin.identification.motors import wide_motor
 from servo_twin.identification.session import identified, measure_virtual
@@ -121,3 +123,8 @@ def test_a_configuration_follows_the_motor() -> None:
             assert table["axis1"]["limits"]["current"] == current
             assert table["axis1"]["motor"]["inertia"] == motor["inertia"]
             assert table["board"]["nominal_voltage"] == limits.voltage
+
+
+def test_wide_without_a_random_motor_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", "--wide", "--level", "ideal", "--locked", "--out", str(tmp_path)]) != 0
+    assert "add --motor N or --trials N" in capsys.readouterr().err

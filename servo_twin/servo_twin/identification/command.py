@@ -112,6 +112,8 @@ def _report(text: str) -> None:
 def _run(args: argparse.Namespace) -> int:
     plant = PlantConfig.load(args.plant)
     base = servo_table(args.config or SERVO_TOML)
+    if args.wide and args.trials is None and args.motor is None:
+        raise SimulationError("--wide is for random motors: add --motor N or --trials N, or omit it")
     if args.trials is not None:
         return _trials(args, plant, base)
     limits, axis = _limits(args, plant), args.axis - 1
