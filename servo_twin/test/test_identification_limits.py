@@ -9,9 +9,11 @@ from typing import Final
 
 import pytest
 from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.motor_config import fitted, tuned_axis
+from servo_msgs_py.measurement.motor_config import corrected, fitted, tuned_axis
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import Limits
+from servo_msgs_py.tuning import acceptance
+from servo_msgs_py.tuning.errors import ConfigError, with_value
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main
@@ -128,3 +130,12 @@ def test_a_configuration_follows_the_motor() -> None:
 def test_wide_without_a_random_motor_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", "--wide", "--level", "ideal", "--locked", "--out", str(tmp_path)]) != 0
     assert "add --motor N or --trials N" in capsys.readouterr().err
+
+
+def test_values_that_may_not_be_changed_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The board ends the session of a host that computes for longer than param.host_timeout."""
+    searched: list[object] = []
+    monkeypatch.setattr(acceptance, "refusal_of", searched.append)
+    with pytest.raises(ConfigError):
+        corrected(with_value(servo_table(), "axis1.control.current_bandwidth", 9000.0), 0)
+    assert not searched

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue, axis_name
@@ -119,7 +120,7 @@ def configured(
     interval = math.degrees(2.0 * math.pi * pairs / counts)
     if interval > search.get("interval", 1.41):
         own["rotor_search"]["interval"] = 1.02 * interval
-    # a rotor that swings by a few counts about the vector must not count as running away, above a quarter of the angle
+    # several times the smallest movement: the rest is for friction
     angle = max(search.get("verify_angle", 24.0), min(VERIFY_MOVES * search.get("move_counts", 3) * interval, 45.0))
     own["rotor_search"]["verify_angle"] = _rounded(angle)
     for group, entries in groups.items():
@@ -226,7 +227,9 @@ def corrected(table: Mapping[str, Any], axis: int) -> tuple[dict[str, Any], Tune
         try:
             return dict(table), tuned_axis(table, axis)
         except ConfigError as error:
-            remedy = next((one for one in error.remedies if _may_change(one, axis)), None)
+            permitted = partial(_may_change, axis=axis)
+            # trying takes long, and the board waits for its host meanwhile
+            remedy = next(filter(permitted, error.remedies), None) if error.offers(permitted) else None
             if remedy is None or remedy.value is None:
                 raise
             table = with_value(table, remedy.entry, int(remedy.value) if remedy.whole else remedy.value)

@@ -121,6 +121,10 @@ class ConfigError(ValueError):
         """Whether a change of this entry in this direction is among the remedies."""
         return any(one.entry == entry and direction in one.directions for one in self._remedies)
 
+    def offers(self, permitted: Callable[[Remedy], bool]) -> bool:
+        """Whether a remedy is permitted; nothing is tried."""
+        return any(map(permitted, self._remedies))
+
     def try_with(self, table: Table) -> None:
         """Use this table for the values of the remedies, if none has been given yet."""
         self._table = self._table or table
