@@ -42,7 +42,7 @@ NEIGHBOURS = {"servo_msgs_py": set(), "servo_bridge": {"servo_msgs_py"}, "servo_
 MODULES_OF_KEY = {"python3-serial": {"serial"}, "python3-cffi": {"cffi"}}
 WITHOUT_KEY = {
     "servo_msgs_py": {"tomli"},
-    "servo_bridge": {"rerun", "tomli"},
+    "servo_bridge": {"argcomplete", "rerun", "tomli"},
     "servo_twin": {"pyarrow", "rerun", "tomli"},
 }
 

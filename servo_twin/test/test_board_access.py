@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
-from servo_msgs_py.measurement.access import MeasurementError, faults_refused, refuse_faults, send_configuration
+from servo_msgs_py.measurement.access import (
+    RECORDER_BYTES,
+    MeasurementError,
+    faults_refused,
+    refuse_faults,
+    send_configuration,
+)
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
@@ -51,7 +57,7 @@ def test_recording_starts_at_its_trigger(access: VirtualBoardAccess) -> None:
     recording = access.record(["tick", "axis1.event_state"], 10, 1, slow=True, start=start, trigger="axis1.event_state")
     event = recording.columns["axis1.event_state"]
     assert event[0] > 0.0
-    assert access.capacity(["tick", "axis1.event_state"]) == 7680 // 6
+    assert access.capacity(["tick", "axis1.event_state"]) == RECORDER_BYTES // 6
     with pytest.raises(MeasurementError, match="no trigger within"):
         access.record(["tick"], 10, 1, slow=True, trigger="axis2.event_mode")
     with pytest.raises(MeasurementError, match="write one element"):
