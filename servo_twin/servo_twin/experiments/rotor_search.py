@@ -54,6 +54,9 @@ SEARCH_MAX: Final = 6.0  # largest duration of a search [s]
 POLL: Final = 0.02  # polling interval of the state [s]
 DETECTION_MAX: Final = 1.5  # largest time until a search that cannot succeed ends in its fault [s]
 DETECTION_MAX_RETRY: Final = 4.0  # the same for a search with retries, each after standstill [s]
+DIRECTION_TEST: Final = 0.8
+"""Duration of the test of the encoder's direction after the retries [s]: the current grows for 0.1 s, then the vector
+rotates by three half turns of 0.23 s."""
 REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; noise may give one or two zeros
 
 
@@ -78,7 +81,10 @@ SEARCH_FAULTS: Final = (
     SearchFault("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
     SearchFault("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
     SearchFault(
-        "encoder reversed", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), DETECTION_MAX_RETRY
+        "encoder reversed",
+        "ENCODER_REVERSED",
+        lambda board, axis: board.reverse_encoder(axis),
+        DETECTION_MAX_RETRY + DIRECTION_TEST,
     ),
     SearchFault(
         "shaft with play of 2 counts",
