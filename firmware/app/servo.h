@@ -26,7 +26,7 @@
 
 /* Sample memory of both recorders, bytes, a multiple of four. */
 #ifndef SERVO_SAMPLES
-#define SERVO_SAMPLES 7552
+#define SERVO_SAMPLES 7680
 #endif
 
 typedef struct servo {

@@ -19,7 +19,7 @@ from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
 from servo_msgs_py.tuning.errors import Remedy
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-RECORDER_BYTES: Final = 7552
+RECORDER_BYTES: Final = 7680
 """Memory of the recorder of a board [bytes]."""
 
 TRIGGER_TIMEOUT: Final = 2.0
