@@ -1,7 +1,7 @@
 """Admission of the set-points of ``joint_commands``: which of them may move a joint, and how they are executed.
 
-A sender that publishes continuously, such as a controller of ros2_control, also publishes when nobody has commanded a
-motion: before a controller has started, after a stop, a fault, a restart, or after another source has moved the joint.
+A sender that publishes continuously, such as a controller of ros2_control, also publishes without a command of its
+user: before a controller has started, after a stop, a fault, a restart, or after another source has moved the joint.
 Such set-points must not move a shaft. rclpy does not report the publisher of a message, so the rules use the messages
 of a joint only:
 

@@ -221,7 +221,7 @@ class Motions:
                     self.stop([one.name for one in targets])
                 raise CommandError(
                     f"{joint.name} stands at {present[joint]:.4f} rad, {distances[joint]:.4f} rad from its target: "
-                    "blocked, at a limit, or commanded by somebody else; see `servo-command state`"
+                    "blocked, at a limit, or commanded by another client; see `servo-command state`"
                 )
             self._commander.require_armed()
             self._step()
