@@ -8,12 +8,12 @@ SHARE = f"share/{PACKAGE}"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Contract of the servo: variables, units, topics, conversions",
+    description="Contract of the servo; design of its control loops; measurements on a board",
     license="Apache-2.0",
     author="servo contributors",
     maintainer="servo contributors",
     maintainer_email="maintainers@servo.example",
-    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    packages=find_packages(exclude=["test", "test.*"]),
     # Spelt out, an editable install is a plain path entry. The import hook that setuptools writes otherwise loses to
     # the folder of the same name when the current directory is the root of the repository.
     package_dir={"": "."},

@@ -18,9 +18,9 @@ from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.board import Board
-from servo_twin.experiments.named_faults import fault_record
 from servo_twin.fault_injection import ShortedPhase, StuckConverter
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.named_faults import fault_record
 from servo_twin.virtual_board import Pacer, Terminal, serve
 from std_msgs.msg import Float64MultiArray
 

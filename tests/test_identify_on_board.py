@@ -15,8 +15,8 @@ from line_simulation import SimulatedLine
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.wire.session import connect
+from servo_measurement.log import MeasurementLog
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.log import MeasurementLog
 from servo_twin.board import Board
 from servo_twin.cli import main
 from servo_twin.identification.trials import TARGETS

@@ -19,8 +19,8 @@ from servo_bridge.freemaster.line import Line
 from servo_bridge.tool_commands import Context
 from servo_bridge.wire.serial_port import LowLatency, SerialPort
 from servo_bridge.wire.session import connect
+from servo_measurement.access import MeasurementError
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import MeasurementError
 from servo_twin.board import Board
 
 from servo_bridge import tool, tool_identify

@@ -11,9 +11,9 @@ from servo_msgs_py.convert import state_label
 from servo_msgs_py.text_file import read_toml
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
 
 LIMIT: Final = 1.0
 """Current limit of the motor of axis 1 [A]."""

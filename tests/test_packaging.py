@@ -233,14 +233,20 @@ def test_all_packages_have_the_same_version() -> None:
     assert {project[1]} == set(versions.values()), versions
 
 
+def _imported(package: str) -> list[Path]:
+    """`__init__.py` of the packages that a ROS package installs."""
+    return sorted((ROOT / package).glob("servo_*/__init__.py"))
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_import_is_declared(package: str) -> None:
     manifest = ET.parse(ROOT / package / "package.xml").getroot()
     keys = {str(element.text) for element in manifest if element.tag in ("build_depend", "exec_depend", "depend")}
     declared = set().union(*(MODULES_OF_KEY.get(key, {key.removeprefix("python3-")}) for key in keys))
-    allowed = (declared - set(PACKAGES)) | NEIGHBOURS[package] | WITHOUT_KEY[package] | {package}
+    neighbours = {folder.parent.name for ours in NEIGHBOURS[package] | {package} for folder in _imported(ours)}
+    allowed = (declared - set(PACKAGES)) | neighbours | WITHOUT_KEY[package]
     undeclared = set()
-    for path in sorted((ROOT / package / package).rglob("*.py")):
+    for path in sorted(path for folder in _imported(package) for path in folder.parent.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []

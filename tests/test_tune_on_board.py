@@ -21,9 +21,9 @@ from servo_bridge.wire.session import Session, connect
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.experiments.rig import choose_mode, command_position, command_speed, features
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.rig import choose_mode, command_position, command_speed, features
 
 from servo_bridge import tool
 

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.tuning.linear import spectral_radius
-from servo_msgs_py.tuning.loops import In, Out
-from servo_msgs_py.tuning.reading import load
-from servo_msgs_py.tuning.tuned import Tuned, tuned
 from servo_msgs_py.units import PERIOD_NS
+from servo_tuning.linear import spectral_radius
+from servo_tuning.loops import In, Out
+from servo_tuning.reading import load
+from servo_tuning.tuned import Tuned, tuned
 from servo_twin.board import Board
-from servo_twin.experiments.rig import (
+from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.rig import (
     COUNT,
     TICK,
     AxisTrace,
@@ -28,7 +29,6 @@ from servo_twin.experiments.rig import (
     set_axis,
     spinning,
 )
-from servo_twin.plant import PlantConfig
 
 CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
 SEED: Final = 1

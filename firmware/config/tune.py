@@ -1,10 +1,10 @@
-"""Command line of the tuning tool: ``python firmware/config/tune.py --help``; see `servo_msgs_py.tuning`."""
+"""Command line of the tuning tool: ``python firmware/config/tune.py --help``; see `servo_tuning`."""
 
 from __future__ import annotations
 
 import sys
 
-from servo_msgs_py.tuning.command import main
+from servo_tuning.command import main
 
 if __name__ == "__main__":
     sys.exit(main())

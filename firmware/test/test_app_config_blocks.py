@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from servo_bench import MODE, STATE, amps, speed
 from servo_msgs_py.axis_config import AxisConfigTable, Member
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
-from servo_msgs_py.tuning.block import block_of
+from servo_tuning.block import block_of
 from tuning_tool import CATALOGUE
 from tuning_tool import axis as tuned_axis
 

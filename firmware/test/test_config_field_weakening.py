@@ -8,11 +8,11 @@ from typing import NamedTuple
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_msgs_py.tuning.assessment import assess
-from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.field_weakening import Loop, field_weakening_loops, largest_torque, top_speed
-from servo_msgs_py.tuning.findings import findings
-from servo_msgs_py.tuning.report import axis_reports, text
+from servo_tuning.assessment import assess
+from servo_tuning.errors import ConfigError
+from servo_tuning.field_weakening import Loop, field_weakening_loops, largest_torque, top_speed
+from servo_tuning.findings import findings
+from servo_tuning.report import axis_reports, text
 from tuning_tool import axis, configuration
 
 

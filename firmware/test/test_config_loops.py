@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from quad_timer import TIMER_CLOCK
-from servo_msgs_py.tuning.assessment import Assessment, assess
-from servo_msgs_py.tuning.configuration import Scales
-from servo_msgs_py.tuning.findings import findings
-from servo_msgs_py.tuning.linear import System, expm, held, margins, poles, spectral_radius
-from servo_msgs_py.tuning.loops import CurrentLoop, In, Out
-from servo_msgs_py.tuning.sensors import EdgeDelay, edge_delay
-from servo_msgs_py.tuning.tuned import Tuned
+from servo_tuning.assessment import Assessment, assess
+from servo_tuning.configuration import Scales
+from servo_tuning.findings import findings
+from servo_tuning.linear import System, expm, held, margins, poles, spectral_radius
+from servo_tuning.loops import CurrentLoop, In, Out
+from servo_tuning.sensors import EdgeDelay, edge_delay
+from servo_tuning.tuned import Tuned
 from tuning_tool import CATALOGUE, axis, case, configuration
 
 TICK = 0.5e-3

@@ -14,18 +14,18 @@ from core_library import Core
 from firmware_compiler import FIRMWARE, run_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_msgs_py.tuning.braking import brake_constants
-from servo_msgs_py.tuning.command import main
-from servo_msgs_py.tuning.configuration import Configuration
-from servo_msgs_py.tuning.constants import time_outs
-from servo_msgs_py.tuning.conversion import AxisConstants, Category, FaultSet, PiRaw, Switches
-from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.linear import spectral_radius
-from servo_msgs_py.tuning.reading import parse
-from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
-from servo_msgs_py.tuning.source import c_source
-from servo_msgs_py.tuning.stops import CATEGORIES
-from servo_msgs_py.tuning.tuned import Tuned, tuned
+from servo_msgs_py.stop_categories import CATEGORIES
+from servo_tuning.braking import brake_constants
+from servo_tuning.command import main
+from servo_tuning.configuration import Configuration
+from servo_tuning.constants import time_outs
+from servo_tuning.conversion import AxisConstants, Category, FaultSet, PiRaw, Switches
+from servo_tuning.errors import ConfigError
+from servo_tuning.linear import spectral_radius
+from servo_tuning.reading import parse
+from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
+from servo_tuning.source import c_source
+from servo_tuning.tuned import Tuned, tuned
 from tuning_tool import CATALOGUE, logarithmic, table
 
 FAULTS = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["faults"]}

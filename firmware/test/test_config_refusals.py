@@ -8,17 +8,17 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from servo_msgs_py.tuning.assessment import assess
-from servo_msgs_py.tuning.braking import brake_constants
-from servo_msgs_py.tuning.constants import time_outs
-from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.findings import findings
-from servo_msgs_py.tuning.optional import PARTS
-from servo_msgs_py.tuning.passwords import password_constants
-from servo_msgs_py.tuning.reading import parse
-from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
-from servo_msgs_py.tuning.source import c_source
-from servo_msgs_py.tuning.tuned import tuned
+from servo_tuning.assessment import assess
+from servo_tuning.braking import brake_constants
+from servo_tuning.constants import time_outs
+from servo_tuning.errors import ConfigError
+from servo_tuning.findings import findings
+from servo_tuning.optional import PARTS
+from servo_tuning.passwords import password_constants
+from servo_tuning.reading import parse
+from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
+from servo_tuning.source import c_source
+from servo_tuning.tuned import tuned
 from tuning_tool import CATALOGUE, case, configuration, table
 
 

@@ -10,9 +10,9 @@ from typing import Any, Final
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from servo_msgs_py.tuning.acceptance import refusal_of
-from servo_msgs_py.tuning.errors import RAISE, Remedy, lower, refused, value_in, with_value
-from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
+from servo_tuning.acceptance import refusal_of
+from servo_tuning.errors import RAISE, Remedy, lower, refused, value_in, with_value
+from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
 from tuning_tool import table
 
 STEPS_MAX: Final = 12

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.text_file import parse_toml
-from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.reading import parse
-from servo_msgs_py.tuning.restore import restore_table, toml_text
-from servo_msgs_py.tuning.tuned import tuned
+from servo_tuning.errors import ConfigError
+from servo_tuning.reading import parse
+from servo_tuning.restore import restore_table, toml_text
+from servo_tuning.tuned import tuned
 from tuning_tool import CATALOGUE, axis, configuration, table
 
 TIMEOUTS = (0.5, 0.25)

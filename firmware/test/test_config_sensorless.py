@@ -12,12 +12,12 @@ from core_library import Core, load_core
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_msgs_py.tuning.assessment import assess
-from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.findings import findings
-from servo_msgs_py.tuning.linear import pole_of
-from servo_msgs_py.tuning.sensorless import BackEmfObserver, angle_error, st_damping
-from servo_msgs_py.tuning.sensorless_constants import F2, FIELDS
+from servo_tuning.assessment import assess
+from servo_tuning.errors import ConfigError
+from servo_tuning.findings import findings
+from servo_tuning.linear import pole_of
+from servo_tuning.sensorless import BackEmfObserver, angle_error, st_damping
+from servo_tuning.sensorless_constants import F2, FIELDS
 from tuning_tool import axis, logarithmic
 
 T = 1.0 / 16000.0

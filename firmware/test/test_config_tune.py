@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from core_library import Core
 from firmware_compiler import FIRMWARE
-from servo_msgs_py.tuning.command import main
+from servo_tuning.command import main
 from tuning_tool import FILE, GENERATED
 
 import servo_msgs_py

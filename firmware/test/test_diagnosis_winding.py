@@ -12,10 +12,10 @@ from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.tuning.configuration import Axis
-from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.tuned import tuned
-from servo_msgs_py.tuning.winding import COLD, COPPER, FULL, STEP_TICKS, Winding
+from servo_tuning.configuration import Axis
+from servo_tuning.errors import ConfigError
+from servo_tuning.tuned import tuned
+from servo_tuning.winding import COLD, COPPER, FULL, STEP_TICKS, Winding
 from tuning_tool import configuration
 
 STEP = STEP_TICKS * 0.5e-3  # s

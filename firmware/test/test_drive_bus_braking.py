@@ -8,7 +8,7 @@ import pytest
 from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_msgs_py.tuning.braking import brake_constants
+from servo_tuning.braking import brake_constants
 from tuning_tool import configuration
 
 TICK = 0.5e-3

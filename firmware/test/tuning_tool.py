@@ -11,9 +11,9 @@ from firmware_compiler import FIRMWARE
 from hypothesis import strategies as st
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.text_file import read_toml
-from servo_msgs_py.tuning.configuration import Configuration
-from servo_msgs_py.tuning.reading import parse
-from servo_msgs_py.tuning.tuned import Tuned, tuned
+from servo_tuning.configuration import Configuration
+from servo_tuning.reading import parse
+from servo_tuning.tuned import Tuned, tuned
 
 FILE: Final = FIRMWARE / "config" / "servo.toml"
 GENERATED: Final = FIRMWARE / "config" / "servo_config_gen.c"

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from servo_measurement.bode import Bode
+from servo_measurement.bode_report import COLUMNS, rows, text
 from servo_msgs_py.catalogue import axis_name
-from servo_msgs_py.measurement.bode import Bode
-from servo_msgs_py.measurement.bode_report import COLUMNS, rows, text
 
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 

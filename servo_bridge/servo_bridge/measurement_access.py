@@ -1,4 +1,4 @@
-"""Access to a board on a serial line for measurements; see `servo_msgs_py.measurement.access.BoardAccess`."""
+"""Access to a board on a serial line for measurements; see `servo_measurement.access.BoardAccess`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import (
+from servo_measurement.access import (
     TRIGGER_TIMEOUT,
     BoardAccess,
     MeasurementError,
@@ -16,6 +15,7 @@ from servo_msgs_py.measurement.access import (
     element_of,
     step_of,
 )
+from servo_msgs_py.catalogue import Catalogue
 
 from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import Phase

@@ -10,11 +10,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from servo_measurement.access import MeasurementError
+from servo_measurement.bode import Bode, measure
+from servo_measurement.bode_plan import LOOPS, BodeRequest
+from servo_measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.bode import Bode, measure
-from servo_msgs_py.measurement.bode_plan import LOOPS, BodeRequest
-from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 from servo_msgs_py.runtime.program import complain, deferred
 
 from servo_bridge.bode_recording import write_recording

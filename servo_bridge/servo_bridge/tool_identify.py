@@ -11,18 +11,18 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from servo_measurement.access import MeasurementError
+from servo_measurement.estimation import estimates_of
+from servo_measurement.log import MeasurementLog
+from servo_measurement.motor_test import MotorTest
+from servo_measurement.motor_values import UNITS, Limits
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import AXES, numbers
-from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.estimation import estimates_of
-from servo_msgs_py.measurement.log import MeasurementLog
-from servo_msgs_py.measurement.motor_test import MotorTest
-from servo_msgs_py.measurement.motor_values import UNITS, Limits
 from servo_msgs_py.runtime.program import Interrupted, complain, deferred
 from servo_msgs_py.text_file import TextFileError, parse_toml, read_toml
-from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.units import PERIOD_NS
+from servo_tuning.errors import ConfigError
 
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.measurement_access import measurement_access

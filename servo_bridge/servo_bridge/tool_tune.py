@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_blocks
 from servo_msgs_py.catalogue import AXES, numbers
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError
 
 from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.block_session import BlockSession

@@ -15,7 +15,7 @@ from servo_bridge.tuning.process import ComputationError, TuningProcess
 from servo_bridge.wire.session import connect
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError
 from std_srvs.srv import SetBool
 
 from servo_msgs_py import topics

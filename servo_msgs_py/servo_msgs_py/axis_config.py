@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.stop_categories import REFUSED
 from servo_msgs_py.text_file import read_toml
-from servo_msgs_py.tuning.stops import REFUSED
 
 _TYPES: Final[Mapping[str, tuple[int, bool]]] = {
     "int16": (2, True),

@@ -8,8 +8,8 @@ from itertools import pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_msgs_py.measurement.access import MeasurementError, step_of
-from servo_msgs_py.measurement.bode_plan import bands_of
+from servo_measurement.access import MeasurementError, step_of
+from servo_measurement.bode_plan import bands_of
 
 
 @given(slow=st.booleans(), capacity=st.integers(400, 4000), low=st.floats(1e-4, 0.3), width=st.floats(1.1, 3000.0))

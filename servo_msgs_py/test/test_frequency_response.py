@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from servo_msgs_py.measurement.frequency_response import Response, estimate, figures, joined
-from servo_msgs_py.measurement.test_signal import SweptSine
-from servo_msgs_py.tuning.linear import Matrix, System, margins
+from servo_measurement.frequency_response import Response, estimate, figures, joined
+from servo_measurement.test_signal import SweptSine
+from servo_tuning.linear import Matrix, System, margins
 
 STEP: Final = 0.5e-3
 SAMPLES: Final = 2000

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_msgs_py.measurement.access import MeasurementError, Recording
-from servo_msgs_py.measurement.least_squares import fit_linear, fit_nonlinear, mean_of
-from servo_msgs_py.measurement.log import Call, MeasurementLog, repeat
-from servo_msgs_py.measurement.motor_values import Estimate, Limits
-from servo_msgs_py.measurement.rotating_vector import follow_vector
-from servo_msgs_py.measurement.speed_runs import balance
-from servo_msgs_py.measurement.standstill import PERIOD, impedance, ohmic, switching_share
+from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.least_squares import fit_linear, fit_nonlinear, mean_of
+from servo_measurement.log import Call, MeasurementLog, repeat
+from servo_measurement.motor_values import Estimate, Limits
+from servo_measurement.rotating_vector import follow_vector
+from servo_measurement.speed_runs import balance
+from servo_measurement.standstill import PERIOD, impedance, ohmic, switching_share
 
 Floats = NDArray[np.float64]
 

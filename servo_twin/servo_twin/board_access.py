@@ -1,4 +1,4 @@
-"""`servo_msgs_py.measurement.access.BoardAccess` to a virtual board, in simulated time."""
+"""`servo_measurement.access.BoardAccess` to a virtual board, in simulated time."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import (
+from servo_measurement.access import (
     RECORDER_BYTES,
     TRIGGER_TIMEOUT,
     BoardAccess,
@@ -16,6 +15,7 @@ from servo_msgs_py.measurement.access import (
     element_of,
     step_of,
 )
+from servo_msgs_py.catalogue import Catalogue
 
 from servo_twin.board import Board, BoardError
 

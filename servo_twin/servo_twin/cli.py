@@ -17,15 +17,15 @@ from servo_msgs_py.runtime.program import program
 from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.diagnosis import command as diagnose
-from servo_twin.experiments import command as experiment
 from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
-from servo_twin.sweep import command as sweep
-from servo_twin.sweep import robust_command
-from servo_twin.timing import command as timing
-from servo_twin.timing import core_measured
+from servo_twin.validation.experiments import command as experiment
+from servo_twin.validation.sweep import command as sweep
+from servo_twin.validation.sweep import robust_command
+from servo_twin.validation.timing import command as timing
+from servo_twin.validation.timing import core_measured
 
 
 def parser() -> argparse.ArgumentParser:

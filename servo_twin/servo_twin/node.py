@@ -34,7 +34,7 @@ from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
 from servo_msgs_py.runtime.parameters import ParameterError, Spec, declare
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board, BoardError
-from servo_twin.experiments.named_faults import faults
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import keep_set_points
+from servo_twin.validation.experiments.named_faults import faults
 
 from servo_twin import _build_native
 

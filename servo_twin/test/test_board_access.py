@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
-from servo_msgs_py.measurement.access import (
+from servo_measurement.access import (
     RECORDER_BYTES,
     MeasurementError,
     faults_refused,
     refuse_faults,
     send_configuration,
 )
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess

@@ -11,11 +11,11 @@ from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import TRACE_ENTRY, Board, BoardError, ChipError, SimulationError
 from servo_twin.core_speed import CoreSpeed
-from servo_twin.experiments.named_faults import faults
 from servo_twin.fault_injection import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable, move
+from servo_twin.validation.experiments.named_faults import faults
 
 LEVELS: tuple[Level, ...] = ("registers", "ideal")
 ENTER, LEAVE, LOAD, WRITE = 8, 9, 2, 10

@@ -9,8 +9,8 @@ import pytest
 from servo_msgs_py.catalogue import numbers
 from servo_msgs_py.units import SLOW_PERIODS
 from servo_twin.board import Board
-from servo_twin.experiments.named_faults import fault_record, faults
 from servo_twin.simulation import enable, move, record
+from servo_twin.validation.experiments.named_faults import fault_record, faults
 
 pytestmark = pytest.mark.usefixtures("level")
 

@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from servo_measurement.access import MeasurementError, Recording, send_configuration
+from servo_measurement.bode import Bode, measure
+from servo_measurement.bode_plan import LOOPS, BodeRequest
+from servo_measurement.bode_report import as_dict, draw, text
+from servo_measurement.test_signal import end_test_signal
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.figure import PictureError
-from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
-from servo_msgs_py.measurement.bode import Bode, measure
-from servo_msgs_py.measurement.bode_plan import LOOPS, BodeRequest
-from servo_msgs_py.measurement.bode_report import as_dict, draw, text
-from servo_msgs_py.measurement.test_signal import end_test_signal
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
-from servo_twin.experiments.pins import fit
 from servo_twin.level import Level
 from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.pins import fit
 
 CONFIG: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
 

@@ -9,7 +9,7 @@ import pytest
 from servo_twin.cli import main
 from servo_twin.core_speed import DEFAULT_FILE
 from servo_twin.plant import PlantConfig
-from servo_twin.timing.core_measured import compare, instructions, with_cycles
+from servo_twin.validation.timing.core_measured import compare, instructions, with_cycles
 
 COUNTS = {"off": {"m1": 400.0, "m2": 380.0}, "hold": {"m1": 700.0, "m2": 650.0}}
 US = 1e-6

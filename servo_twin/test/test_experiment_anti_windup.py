@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from servo_twin.experiments import anti_windup
-from servo_twin.experiments.rig import TICK, AxisTrace
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import anti_windup
+from servo_twin.validation.experiments.rig import TICK, AxisTrace
 
 
 def test_agrees_with_the_reference_design() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from servo_twin.experiments import braking
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import braking
 
 
 def wrong(plant: PlantConfig) -> set[str]:

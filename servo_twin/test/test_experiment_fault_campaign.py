@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pytest
 from servo_msgs_py.text_file import parse_toml, read_toml
-from servo_twin.experiments.campaign_faults import (
+from servo_twin.fault_injection import OpenPhase
+from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments.campaign_faults import (
     INJECTED_FAULTS,
     NO_FAULT,
     BusRange,
@@ -16,15 +20,11 @@ from servo_twin.experiments.campaign_faults import (
     InjectedFaultCase,
     no_fault,
 )
-from servo_twin.experiments.campaign_motors import MOTORS, OTHERS, OWN, Motor
-from servo_twin.experiments.campaign_states import STATES, Bench, Script
-from servo_twin.experiments.fault_campaign import Result, Trial, draw, judge, run_trial
-from servo_twin.experiments.named_faults import NOTHING
-from servo_twin.experiments.rig import at_level
-from servo_twin.fault_injection import OpenPhase
-from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
-from servo_twin.plant import PlantConfig
-from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments.campaign_motors import MOTORS, OTHERS, OWN, Motor
+from servo_twin.validation.experiments.campaign_states import STATES, Bench, Script
+from servo_twin.validation.experiments.fault_campaign import Result, Trial, draw, judge, run_trial
+from servo_twin.validation.experiments.named_faults import NOTHING
+from servo_twin.validation.experiments.rig import at_level
 
 PLANT = PlantConfig.load()
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import fault_matrix
-from servo_twin.experiments.fault_matrix import case, fault_cases, judge
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import fault_matrix
+from servo_twin.validation.experiments.fault_matrix import case, fault_cases, judge
 
 PLANT = PlantConfig.load()
 CASES = {fault_case.name: fault_case for fault_case in fault_cases(PLANT)}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import feed_forward, rig
-from servo_twin.experiments.feed_forward import Mismatch
-from servo_twin.experiments.plant_limits import nominal_shafts
-from servo_twin.experiments.rig import record, spinning
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import feed_forward, rig
+from servo_twin.validation.experiments.feed_forward import Mismatch
+from servo_twin.validation.experiments.plant_limits import nominal_shafts
+from servo_twin.validation.experiments.rig import record, spinning
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_twin.experiments import EXPERIMENTS, Experiment, levels, rig
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.report import draw, summary, table, update_summary
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments import EXPERIMENTS, Experiment, levels, rig
+from servo_twin.validation.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.validation.experiments.report import draw, summary, table, update_summary
 
 from servo_twin import cli
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import friction, rig
-from servo_twin.experiments.plant_limits import nominal_shafts
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import friction, rig
+from servo_twin.validation.experiments.plant_limits import nominal_shafts
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from servo_twin.experiments import homing, rig
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import homing, rig
 
 
 def test_every_figure_is_within_its_bound() -> None:

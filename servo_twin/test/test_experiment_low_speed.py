@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from servo_twin.experiments import low_speed
-from servo_twin.experiments.rig import AxisTrace
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import low_speed
+from servo_twin.validation.experiments.rig import AxisTrace
 
 
 def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:

@@ -6,8 +6,9 @@ import dataclasses
 import math
 
 import pytest
-from servo_msgs_py.tuning.acceptance import refusal_of
-from servo_twin.experiments.motor_campaign import (
+from servo_tuning.acceptance import refusal_of
+from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.motor_campaign import (
     ACCELERATION_TIME,
     FLUX,
     INDUCTANCE,
@@ -23,8 +24,7 @@ from servo_twin.experiments.motor_campaign import (
     judge,
     run_trial,
 )
-from servo_twin.experiments.rig import at_level
-from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.rig import at_level
 
 SEED = 1
 DRIVEN = (1, 7, 24, 36)

@@ -7,9 +7,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from servo_twin.experiments import mt_speed
-from servo_twin.experiments.rig import COUNT, RPM, AxisTrace
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import mt_speed
+from servo_twin.validation.experiments.rig import COUNT, RPM, AxisTrace
 
 
 @pytest.fixture(scope="module")

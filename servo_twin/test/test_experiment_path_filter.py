@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.experiments import path_filter
-from servo_twin.experiments.rig import TICK, AxisTrace
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import path_filter
+from servo_twin.validation.experiments.rig import TICK, AxisTrace
 
 ABLE = 1e9
 

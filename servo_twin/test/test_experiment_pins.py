@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from servo_twin.experiments import pins
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments import pins
 
 
 @pytest.mark.usefixtures("level")

@@ -6,9 +6,9 @@ import dataclasses
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import plant_effects
-from servo_twin.experiments.plant_effects import EFFECTS
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import plant_effects
+from servo_twin.validation.experiments.plant_effects import EFFECTS
 
 
 @pytest.mark.usefixtures("level")

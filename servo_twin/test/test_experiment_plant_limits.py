@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from servo_twin.experiments import plant_limits
-from servo_twin.experiments.plant_limits import (
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments import plant_limits
+from servo_twin.validation.experiments.plant_limits import (
     Demand,
     differences,
     move_speeds,
@@ -15,9 +17,7 @@ from servo_twin.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.experiments.rig import COUNT, TICK, AxisTrace, choose_mode, command_speed, record, spinning
-from servo_twin.plant import PlantConfig
-from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace, choose_mode, command_speed, record, spinning
 
 SPEED = 314.0
 

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.experiments import position
-from servo_twin.experiments.rig import TICK, AxisTrace, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments import position
+from servo_twin.validation.experiments.rig import TICK, AxisTrace, record, spinning
 
 TARGET = 100
 PLANT = PlantConfig.load()

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import rotor_search
-from servo_twin.experiments.outcome import Outcome
-from servo_twin.experiments.rotor_search import Search, SearchFault
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import rotor_search
+from servo_twin.validation.experiments.outcome import Outcome
+from servo_twin.validation.experiments.rotor_search import Search, SearchFault
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.experiments import minimum_speed, observer, sensorless_load_step, sensorless_stall, start_up
-from servo_twin.experiments.observer import Point
-from servo_twin.experiments.outcome import Outcome
-from servo_twin.experiments.rig import TICK
-from servo_twin.experiments.sensorless import Trace, degrees
-from servo_twin.experiments.sensorless_stall import variance_detection_time
-from servo_twin.experiments.start_up import CRITERION_MAX, draws, examine, many
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner
+from servo_twin.validation.experiments import minimum_speed, observer, sensorless_load_step, sensorless_stall, start_up
+from servo_twin.validation.experiments.observer import Point
+from servo_twin.validation.experiments.outcome import Outcome
+from servo_twin.validation.experiments.rig import TICK
+from servo_twin.validation.experiments.sensorless import Trace, degrees
+from servo_twin.validation.experiments.sensorless_stall import variance_detection_time
+from servo_twin.validation.experiments.start_up import CRITERION_MAX, draws, examine, many
 
 from servo_twin import cli
 

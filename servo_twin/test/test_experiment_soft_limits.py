@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import rig, soft_limits
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import rig, soft_limits
 
 
 def wrong() -> set[str]:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import speed_observer
-from servo_twin.experiments.rig import AxisTrace
-from servo_twin.experiments.speed_observer import Pair
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import speed_observer
+from servo_twin.validation.experiments.rig import AxisTrace
+from servo_twin.validation.experiments.speed_observer import Pair
 
 
 def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from servo_twin.experiments import stiffness
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
+from servo_twin.validation.experiments import stiffness
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import rig, supervision
-from servo_twin.experiments.supervision import Bench
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import rig, supervision
+from servo_twin.validation.experiments.supervision import Bench
 
 CAUSES = ("shaft blocked in a move", "too large load in a move", "driven by a load", "set-point too fast")
 

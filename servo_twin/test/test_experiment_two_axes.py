@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from servo_twin.experiments import two_axes
-from servo_twin.experiments.two_axes import Pair, Reversals
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import two_axes
+from servo_twin.validation.experiments.two_axes import Pair, Reversals
 
 
 @pytest.fixture(autouse=True)

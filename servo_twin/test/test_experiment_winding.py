@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from servo_twin.experiments import rig, winding
-from servo_twin.experiments.outcome import Judge
-from servo_twin.experiments.winding import CASES, Motor, configured, time_series
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import rig, winding
+from servo_twin.validation.experiments.outcome import Judge
+from servo_twin.validation.experiments.winding import CASES, Motor, configured, time_series
 
 PLANT = PlantConfig.load()
 SEED = 4

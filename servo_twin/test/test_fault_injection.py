@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from native_library import Native, c_axis, ideal_plant
 from servo_twin.board import Board
-from servo_twin.experiments.named_faults import faults
 from servo_twin.fault_injection import (
     BusNoise,
     CurrentNoise,
@@ -26,6 +25,7 @@ from servo_twin.fault_injection import (
 )
 from servo_twin.level import Level
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.named_faults import faults
 from switching_rig import Switching
 
 STEP = 31.25e-6

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import field_weakening, rig
-from servo_twin.experiments.field_weakening import RATED, at_rated
-from servo_twin.experiments.rig import (
+from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments import field_weakening, rig
+from servo_twin.validation.experiments.field_weakening import RATED, at_rated
+from servo_twin.validation.experiments.rig import (
     RPM,
     choose_mode,
     command_position,
@@ -21,7 +22,6 @@ from servo_twin.experiments.rig import (
     set_axis,
     spinning,
 )
-from servo_twin.plant import PlantConfig
 
 AXIS = field_weakening.AXIS
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from servo_measurement.access import MeasurementError, Recording, step_of
+from servo_measurement.axis_under_test import AxisUnderTest
+from servo_measurement.log import MeasurementLog
+from servo_measurement.motor_test import MotorTest
+from servo_measurement.motor_values import Limits
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import MeasurementError, Recording, step_of
-from servo_msgs_py.measurement.axis_under_test import AxisUnderTest
-from servo_msgs_py.measurement.log import MeasurementLog
-from servo_msgs_py.measurement.motor_test import MotorTest
-from servo_msgs_py.measurement.motor_values import Limits
-from servo_msgs_py.tuning.reading import load
+from servo_tuning.reading import load
 from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.motor_config import corrected, fitted, tuned_axis
-from servo_msgs_py.measurement.motor_test import MotorTest
-from servo_msgs_py.measurement.motor_values import Limits
-from servo_msgs_py.tuning import acceptance
-from servo_msgs_py.tuning.errors import ConfigError, with_value
+from servo_measurement.access import MeasurementError
+from servo_measurement.motor_config import corrected, fitted, tuned_axis
+from servo_measurement.motor_test import MotorTest
+from servo_measurement.motor_values import Limits
+from servo_tuning import acceptance
+from servo_tuning.errors import ConfigError, with_value
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main

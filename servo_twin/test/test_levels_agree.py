@@ -9,13 +9,13 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import braking, fault_matrix, levels, rotor_search, start_up
-from servo_twin.experiments.command import run_experiments
-from servo_twin.experiments.rig import TICK, at_level, choose_mode, command_speed, spinning
 from servo_twin.fault_injection import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
-from servo_twin.timing.trace import Kind
+from servo_twin.validation.experiments import braking, fault_matrix, levels, rotor_search, start_up
+from servo_twin.validation.experiments.command import run_experiments
+from servo_twin.validation.experiments.rig import TICK, at_level, choose_mode, command_speed, spinning
+from servo_twin.validation.timing.trace import Kind
 
 LEVELS: tuple[Level, ...] = ("ideal", "registers")
 PLANT = PlantConfig.load()

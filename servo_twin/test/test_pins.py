@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.experiments.pins import fit
 from servo_twin.fault_injection import CutWire, StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PinsPlant, PlantConfig, PlantError
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.pins import fit
 
 PERIOD = PERIOD_NS * 1e-9
 LEVELS = pytest.mark.parametrize("level", ["ideal", "registers"])

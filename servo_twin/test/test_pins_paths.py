@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_twin.board import Board, BoardError
-from servo_twin.experiments.pins import FIRST_DROP, fit, load_of, wired
-from servo_twin.experiments.rig import COUNT, choose_mode, position_of, prepared, spinning
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.pins import FIRST_DROP, fit, load_of, wired
+from servo_twin.validation.experiments.rig import COUNT, choose_mode, position_of, prepared, spinning
 
 FAR = 3.0  # [rad]
 

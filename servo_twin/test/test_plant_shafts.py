@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.board import Board, Truth
-from servo_twin.experiments.rig import choose_mode, command_speed, set_axis
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.rig import choose_mode, command_speed, set_axis
 
 LEVELS: list[Level] = ["ideal", "registers"]
 PERIOD = 62_500  # [ns]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.experiments.named_faults import fault_record, faults
 from servo_twin.fault_injection import HotPowerStage, OpenPhase, ShortedPhase
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.named_faults import fault_record, faults
 
 pytestmark = pytest.mark.usefixtures("level")
 

@@ -11,8 +11,8 @@ import pytest
 from buffered_registers import poke_buffered
 from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board, ChipError
-from servo_twin.experiments.named_faults import faults
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.named_faults import faults
 
 HALF = 3125  # clocks of half a PWM period
 PERIOD = 2 * HALF

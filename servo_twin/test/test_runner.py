@@ -19,9 +19,9 @@ from typing import Any
 
 import pytest
 from servo_twin.board import SimulationError
-from servo_twin.experiments import fault_campaign
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, RunError, Runner, TrialError, WorkerLostError, run_in_order
+from servo_twin.validation.experiments import fault_campaign
 
 NUMBERS = range(40)
 

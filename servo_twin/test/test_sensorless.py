@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board
-from servo_twin.experiments import named_faults
-from servo_twin.experiments.rig import RPM, TICK_NS, choose_mode, features, set_axis
 from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable, keep_set_points
+from servo_twin.validation.experiments import named_faults
+from servo_twin.validation.experiments.rig import RPM, TICK_NS, choose_mode, features, set_axis
 
 STOP, RUN = 2, 3
 READY, SPIN, FREEWHEEL, STARTUP = 1, 3, 4, 5

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments.named_faults import faults, place
-from servo_twin.experiments.rig import TICK, choose_mode, command_speed, features, set_axis
 from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
+from servo_twin.validation.experiments.named_faults import faults, place
+from servo_twin.validation.experiments.rig import TICK, choose_mode, command_speed, features, set_axis
 
 pytestmark = pytest.mark.usefixtures("level")
 

@@ -19,16 +19,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Row
-from servo_twin.experiments.rig import at_level, fresh_board, prepared
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
-from servo_twin.sweep.command import sweep_of
-from servo_twin.sweep.space import Space, SpaceError, Varied, shuffled
-from servo_twin.sweep.store import RESULTS, Store, StoreError
-from servo_twin.sweep.summary import Summary
-from servo_twin.sweep.trial import Figure, Trial
-from servo_twin.sweep.variant import Base
+from servo_twin.validation.experiments.outcome import Bound, Row
+from servo_twin.validation.experiments.rig import at_level, fresh_board, prepared
+from servo_twin.validation.sweep.command import sweep_of
+from servo_twin.validation.sweep.space import Space, SpaceError, Varied, shuffled
+from servo_twin.validation.sweep.store import RESULTS, Store, StoreError
+from servo_twin.validation.sweep.summary import Summary
+from servo_twin.validation.sweep.trial import Figure, Trial
+from servo_twin.validation.sweep.variant import Base
 
 from servo_twin import cli
 

@@ -11,7 +11,7 @@ from buffered_registers import poke_buffered
 from servo_twin.board import Board
 from servo_twin.cli import main
 from servo_twin.plant import PlantConfig
-from servo_twin.timing.command import measure
+from servo_twin.validation.timing.command import measure
 
 PWMA_SM1_VAL4, PWMA_SM1_VAL5 = 0xE63D, 0xE63F
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.board import TRACE_ENTRY as ENTRY
-from servo_twin.experiments.outcome import Row
-from servo_twin.timing import deadlines, picture
-from servo_twin.timing.chip_map import LOOPS, SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
-from servo_twin.timing.figures import pwm_cycle, start
-from servo_twin.timing.trace import Kind, Trace
+from servo_twin.validation.experiments.outcome import Row
+from servo_twin.validation.timing import deadlines, picture
+from servo_twin.validation.timing.chip_map import LOOPS, SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
+from servo_twin.validation.timing.figures import pwm_cycle, start
+from servo_twin.validation.timing.trace import Kind, Trace
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 PERIOD = 6250

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.tuning.reading import load
+from servo_tuning.reading import load
 from servo_twin.runner import Runner
-from servo_twin.sweep.robust import Candidates, Objective, Score, front, search
-from servo_twin.sweep.space import Space, Varied
-from servo_twin.sweep.trial import Figure, Trial
+from servo_twin.validation.sweep.robust import Candidates, Objective, Score, front, search
+from servo_twin.validation.sweep.space import Space, Varied
+from servo_twin.validation.sweep.trial import Figure, Trial
 
 from servo_twin import cli
 
@@ -75,7 +75,7 @@ def test_candidates_are_tested_on_the_nominal_plant_first(monkeypatch: pytest.Mo
         points.append(point)
         return trial(1.0)
 
-    monkeypatch.setattr("servo_twin.sweep.robust.trial_at", kept)
+    monkeypatch.setattr("servo_twin.validation.sweep.robust.trial_at", kept)
     plants = Space.of([Varied.parse("p=5,6")], None, None, 1)
     work = Candidates("move", None, plants, "ideal", ({"x": 1.0}, {"x": 2.0}))  # type: ignore[arg-type]
     assert len(work.scores(SMALL, Runner(1), "trials")) == 2

@@ -12,8 +12,8 @@ import time
 
 from servo_twin.cli import parser
 from servo_twin.runner import Runner, run_in_order
-from servo_twin.sweep.command import sweep_of
-from servo_twin.sweep.trial import Sweep
+from servo_twin.validation.sweep.command import sweep_of
+from servo_twin.validation.sweep.trial import Sweep
 
 COUNT = 10_000
 REFERENCE = 500

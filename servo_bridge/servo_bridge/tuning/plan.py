@@ -9,9 +9,9 @@ from typing import Any, Final, NamedTuple
 from servo_msgs_py.axis_config import AxisConfigTable, Member
 from servo_msgs_py.axis_config_transfer import BlockMemory, read_block, send_block
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_msgs_py.tuning.reading import load
-from servo_msgs_py.tuning.report import axis_reports
-from servo_msgs_py.tuning.restore import restore_table, toml_text
+from servo_tuning.reading import load
+from servo_tuning.report import axis_reports
+from servo_tuning.restore import restore_table, toml_text
 
 Block = Mapping[str, int]
 
@@ -43,7 +43,7 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
 
 
 def file_of(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> str:
-    """Text of the file that gives these blocks and timeouts [s]; see `servo_msgs_py.tuning.restore.restore_table`."""
+    """Text of the file that gives these blocks and timeouts [s]; see `servo_tuning.restore.restore_table`."""
     return toml_text(restore_table(blocks, timeouts, catalogue), _HEADING)
 
 

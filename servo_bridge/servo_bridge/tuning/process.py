@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError
 
 from servo_bridge.tuning.plan import Computed, computed, file_of
 

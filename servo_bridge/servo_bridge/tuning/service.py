@@ -21,7 +21,7 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_result
 from servo_msgs_py.catalogue import AXES, numbers
 from servo_msgs_py.runtime.qos import latched_qos
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 

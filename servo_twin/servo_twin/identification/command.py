@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
 
+from servo_measurement.access import MeasurementError
+from servo_measurement.log import MeasurementLog
+from servo_measurement.motor_values import Limits
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.log import MeasurementLog
-from servo_msgs_py.measurement.motor_values import Limits
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -47,7 +47,7 @@ _OUT: Final = Path("out/identify")
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
-    """Add ``identify`` to the commands of ``servo-sim``; parameters: see `servo_twin.sweep.command.add_parser`."""
+    """Add ``identify`` to the commands of ``servo-sim``; parameters as of `sweep.command.add_parser`."""
     parser = verbs.add_parser(
         "identify",
         parents=[common, levelled],

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from servo_measurement.least_squares import mean_of
+from servo_measurement.motor_values import COVERAGE, UNITS
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.figure import new_figure, write_figure
-from servo_msgs_py.measurement.least_squares import mean_of
-from servo_msgs_py.measurement.motor_values import COVERAGE, UNITS
 
 from servo_twin.firmware_build import as_toml
 from servo_twin.identification.refine import plant_of

@@ -15,15 +15,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.estimation import BAND, estimates_of
+from servo_measurement.least_squares import mean_of
+from servo_measurement.log import MeasurementLog, repeat
+from servo_measurement.motor_rig import PROTECTION
+from servo_measurement.motor_test import PULSES, SPEEDS, TURN
+from servo_measurement.motor_values import Estimate, MotorEstimates
+from servo_measurement.standstill import spectra
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.measurement.access import MeasurementError, Recording
-from servo_msgs_py.measurement.estimation import BAND, estimates_of
-from servo_msgs_py.measurement.least_squares import mean_of
-from servo_msgs_py.measurement.log import MeasurementLog, repeat
-from servo_msgs_py.measurement.motor_rig import PROTECTION
-from servo_msgs_py.measurement.motor_test import PULSES, SPEEDS, TURN
-from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
-from servo_msgs_py.measurement.standstill import spectra
 
 from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess

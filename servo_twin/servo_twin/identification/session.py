@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from servo_measurement.access import MeasurementError
+from servo_measurement.estimation import estimates_of, inductance_at_low_current
+from servo_measurement.log import MeasurementLog
+from servo_measurement.motor_config import fitted, tuned_axis
+from servo_measurement.motor_test import MotorTest
+from servo_measurement.motor_values import UNITS, Estimate, Limits, MotorEstimates
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import axis_name
-from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.estimation import estimates_of, inductance_at_low_current
-from servo_msgs_py.measurement.log import MeasurementLog
-from servo_msgs_py.measurement.motor_config import fitted, tuned_axis
-from servo_msgs_py.measurement.motor_test import MotorTest
-from servo_msgs_py.measurement.motor_values import UNITS, Estimate, Limits, MotorEstimates
-from servo_msgs_py.tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError
 
 from servo_twin.board import Board, SimulationError
 from servo_twin.board_access import VirtualBoardAccess

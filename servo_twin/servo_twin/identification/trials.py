@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from servo_msgs_py.measurement.motor_values import Limits
+from servo_measurement.motor_values import Limits
 
 from servo_twin.identification.motors import random_motor, wide_motor
 from servo_twin.identification.session import identified, measure_virtual, tuned_table

@@ -9,10 +9,10 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_block, take_blocks
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand
-from servo_msgs_py.tuning.configuration import Configuration
-from servo_msgs_py.tuning.reading import loads
-from servo_msgs_py.tuning.tuned import tuned
 from servo_msgs_py.units import SLOW_PERIODS
+from servo_tuning.configuration import Configuration
+from servo_tuning.reading import loads
+from servo_tuning.tuned import tuned
 
 from servo_twin.lockstep.replica import Replica
 

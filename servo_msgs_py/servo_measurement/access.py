@@ -1,0 +1,218 @@
+"""Interface of a board for measurements: variables in SI, board time, and the recorder.
+
+The same measurement runs on a virtual board in simulated time and on a board at a serial line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.axis_config_transfer import AppliedBlocks, BlockMemory, send_block, take_blocks
+from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_tuning.errors import Remedy
+
+RECORDER_BYTES: Final = 7680
+"""Memory of the recorder of a board [bytes]."""
+
+TRIGGER_TIMEOUT: Final = 2.0
+"""Timeout from the start of a recording to its trigger [s]."""
+
+_TAKE_TIME: Final = 1.0  # timeout for applying blocks [s]
+_TAKE_STEP: Final = 0.001
+_ELEMENT: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<index>\d+)\])?")
+
+
+class MeasurementError(RuntimeError):
+    """The measurement is not possible or has no result; the message contains cause and remedy.
+
+    Parameters
+    ----------
+    text : str
+        Cause, and what is not a value of an option.
+    *remedies : Remedy
+        Changes of options; each of them alone is accepted.
+    """
+
+    def __init__(self, text: str, *remedies: Remedy) -> None:
+        changes = ", or ".join(one.text() for one in remedies)
+        super().__init__(f"{text}: {changes}" if changes else text)
+        self.remedies = remedies
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Samples of several variables at the same instants."""
+
+    step: float  # time between two samples [s]
+    columns: Mapping[str, NDArray[np.float64]]  # SI values by name, each of shape (samples,)
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Time since the first sample [s], shape (samples,)."""
+        size = next(iter(self.columns.values())).size
+        return self.step * np.arange(size, dtype=np.float64)
+
+
+class BoardAccess(BlockMemory, Protocol):
+    """A board under measurement. Implementations are derived from it."""
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """Catalogue of its variables."""
+
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        """Write elements of a variable from `first` on in one request; False if the board refuses the values."""
+
+    def read(self, name: str) -> list[float]:
+        """All elements of a variable [SI]."""
+        variable = self.catalogue[name]
+        return [float(variable.scale(raw)) for raw in self.read_words(name)]
+
+    def write(self, name: str, values: Sequence[float], first: int = 0) -> None:
+        """Write elements of a variable [SI] from element `first` on; the other elements are not written.
+
+        Raises
+        ------
+        ValueError
+            If a value is outside the limits of the variable.
+        MeasurementError
+            If the board refuses.
+        """
+        variable = self.catalogue[name]
+        if not self.write_words(name, [variable.to_raw(value) for value in values], first):
+            raise MeasurementError(f"{name}: the board refuses {', '.join(f'{value:g}' for value in values)}")
+
+    def clock(self) -> float:
+        """Elapsed time including communication [s]; only differences are meaningful."""
+
+    def wait(self, seconds: float) -> None:
+        """Let board time elapse [s]; the board does not detect a loss of its host during the wait."""
+
+    def capacity(self, names: Sequence[str]) -> int:
+        """Number of samples of these variables in one recording; elements of arrays as ``name[k]``."""
+
+    def record(
+        self,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+        lead: float = 0.0,
+        meanwhile: Callable[[bool], None] | None = None,
+    ) -> Recording:
+        """Record several variables.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Scalar variables, or elements of arrays as ``name[k]``.
+        samples : int
+            Number of samples; see `capacity`.
+        every : int
+            Calls of the loop per sample.
+        slow : bool
+            Sample the slow loop instead of every PWM period.
+        start : callable, optional
+            Called when the recorder is armed; starts the process to be recorded.
+        trigger : str, optional
+            Variable: the first sample is the one at which it is above zero. On a serial line the call of `start` is
+            delayed by the recording time minus `lead`, so that the buffer is full before the trigger. By default the
+            recording begins before the call of `start`, on a serial line by up to 0.3 s.
+        lead : float, optional
+            Minimum time from the call of `start` to the trigger [s].
+        meanwhile : callable, optional
+            Called repeatedly, on a serial line about ten times a second, from before `start` until the samples have
+            been read. Its argument is True once the memory is full: from then on the motion of the axis does not affect
+            the recording, while reading the samples over a serial line can take seconds.
+
+        Raises
+        ------
+        MeasurementError
+            If the recording is not possible, or the trigger does not occur within `TRIGGER_TIMEOUT`.
+        """
+
+
+def step_of(every: int, slow: bool) -> float:
+    """Sampling period of `BoardAccess.record` [s]."""
+    return every * PERIOD_NS * (SLOW_PERIODS if slow else 1) * 1e-9
+
+
+def element_of(catalogue: Catalogue, name: str) -> tuple[Variable, int]:
+    """Variable and index of the element from the name of a recorded number.
+
+    Raises
+    ------
+    MeasurementError
+        If it does not exist.
+    """
+    match = _ELEMENT.fullmatch(name)
+    variable = None if match is None else catalogue.variables.get(match["name"])
+    if match is None or variable is None or variable.type == "block":
+        raise MeasurementError(f"{name!r} is not a variable that can be recorded")
+    if match["index"] is None and variable.count > 1:
+        raise MeasurementError(f"{name} is an array; write one element, such as {name}[0]")
+    index = int(match["index"] or 0)
+    if index >= variable.count:
+        raise MeasurementError(f"{variable.name} has elements 0 .. {variable.count - 1}")
+    return variable, index
+
+
+def send_configuration(access: BoardAccess, blocks: Mapping[int, Mapping[str, int]]) -> AppliedBlocks:
+    """Send configuration blocks to the board and apply all in the same slow tick.
+
+    Parameters
+    ----------
+    access : BoardAccess
+        The board.
+    blocks : mapping
+        Members by path (`servo_msgs_py.axis_config.AxisConfigTable`), by index of the axis.
+
+    Raises
+    ------
+    AxisConfigError, BlockRefusedError
+        If a block is invalid, or the board refuses it.
+    """
+    for axis, block in blocks.items():
+        send_block(access, axis, block)
+    remaining = round(_TAKE_TIME / _TAKE_STEP)
+
+    def wait() -> bool:
+        nonlocal remaining
+        remaining -= 1
+        access.wait(_TAKE_STEP)
+        return remaining > 0
+
+    return take_blocks(access, sorted(blocks), wait)
+
+
+def refuse_faults(access: BoardAccess, axis: int, *accepted: str) -> None:
+    """Raise a `MeasurementError` with cause and remedy if an axis has a fault, except for `accepted` ones."""
+    name = f"{axis_name(axis)}.faults"
+    flags = access.catalogue[name].flags
+    assert flags is not None
+    active = access.catalogue.active(flags, int(access.read(name)[0]))
+    faults = [fault for fault in active if fault.name not in accepted]
+    if faults:
+        text = "; ".join(f"{fault.name}: {fault.cause}. {fault.remedy}".rstrip(". ") for fault in faults)
+        raise MeasurementError(f"{axis_name(axis)} has a fault. {text}")
+
+
+@contextmanager
+def faults_refused(access: BoardAccess, axis: int) -> Iterator[None]:
+    """Call `refuse_faults` at the end of the block; its error replaces a `MeasurementError` of the block."""
+    try:
+        yield
+    except MeasurementError:
+        refuse_faults(access, axis)
+        raise
+    refuse_faults(access, axis)

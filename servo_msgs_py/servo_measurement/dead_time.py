@@ -1,0 +1,71 @@
+"""Smallest current of a test: phase currents that vanish in the dead time of the switches hide the winding."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from servo_tuning.errors import exactly, higher
+
+from servo_measurement.access import MeasurementError
+from servo_measurement.motor_values import Limits
+
+BAND_MAX: Final = 0.25
+"""Largest range in which the voltage lost in a leg depends on its current, relative to the current limit. With 0.28 and
+more, errors of resistance and inductance were 5 % to several times the value."""
+
+
+def check_band(band: float, estimate: float, current: float, limits: Limits, maximum: float) -> None:
+    """Check that the phase currents are above the range in which the voltage lost in a leg is uncertain.
+
+    Parameters
+    ----------
+    band : float
+        This range [A]; it is too small if the phase currents do not leave it.
+    estimate : float
+        Another value of it, for the remedy: that of `band_of` [A].
+    current : float
+        Largest current of the test, reduced if the voltage is too low for `limits.current` [A].
+    limits : Limits
+        Of the user.
+    maximum : float
+        Largest current of the board [A].
+
+    Raises
+    ------
+    MeasurementError
+        If the current is too small, with one that is enough, if the board can do it.
+    """
+    if current >= band / BAND_MAX:
+        return
+    needed = max(band, estimate) / BAND_MAX
+    text = f"phase currents up to {band:.2g} A vanish in the dead time of the switches"
+    if current < limits.current:
+        raise MeasurementError(f"{text}, and {current:.2g} A take the voltage: the board cannot measure this winding")
+    if needed < maximum:
+        raise MeasurementError(text, higher("--current", min(_rounded_up(needed), maximum)))
+    if limits.current < maximum:
+        raise MeasurementError(text, exactly("--current", maximum))
+    raise MeasurementError(
+        f"{text}: at {limits.voltage:g} V the test needs {needed:.2g} A, the board can do {maximum:g} A; use a"
+        " supply of a lower voltage"
+    )
+
+
+def band_of(slope: float, lost_voltage: float) -> float:
+    """Range of sign changes [A] from the change of the voltage of a vector with its current, all within this range.
+
+    Parameters
+    ----------
+    slope : float
+        Voltage over current [ohm]: 3/2 of the lost voltage over the range.
+    lost_voltage : float
+        Voltage lost in a leg with full current [V].
+    """
+    return 1.5 * lost_voltage / slope
+
+
+def _rounded_up(value: float) -> float:
+    """Value rounded up to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(round(math.ceil(value / unit) * unit, 9))

@@ -1,0 +1,186 @@
+"""Closed-form estimates from the recordings of a motor test. Missing samples (NaN) are omitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import axis_name
+
+from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.least_squares import mean_of
+from servo_measurement.log import MeasurementLog
+from servo_measurement.motor_values import Estimate, MotorEstimates
+from servo_measurement.rotating_vector import follow_vector, sensor_errors
+from servo_measurement.speed_runs import balance, flux, friction, second_half, steady_of, torque_of
+from servo_measurement.standstill import Ohmic, impedance, ohmic
+
+BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
+"""Frequency bands for the inductances [Hz]; below them the rotor follows a current perpendicular to the vector."""
+
+PLAIN_TIME: Final = 0.45
+"""Duration of each run without a d-axis current [s]."""
+
+FLUX_UNCERTAINTY: Final = 0.1
+"""Relative uncertainty of the flux from a rotating vector, for the unknown effect of dead time and voltage drops."""
+
+FOLLOW_TOLERANCE: Final = 0.15
+"""Relative tolerance of the mean speed of a shaft that oscillates about a rotating vector."""
+
+
+def _columns(log: MeasurementLog, point: str) -> tuple[str, str, str]:
+    name = axis_name(log.axis)
+    return f"{name}.i_{point}", f"{name}.u_{point}", f"{name}.test_signal"
+
+
+def resistance_of(log: MeasurementLog) -> Ohmic:
+    """Resistance of winding and switch, and lost voltage, from a series of currents."""
+    name = axis_name(log.axis)
+    points = []
+    for recording in log.labelled("level"):
+        i_d, _ = mean_of(recording.columns[f"{name}.i_d"])
+        u_d, error = mean_of(recording.columns[f"{name}.u_d"])
+        if math.isfinite(i_d) and math.isfinite(u_d):
+            points.append((i_d, u_d, max(error, 1e-3)))
+    if len(points) < 4:
+        raise MeasurementError(f"{len(points)} currents with samples are too few for the resistance: measure again")
+    current, voltage, sigma = (np.array(column) for column in zip(*points, strict=True))
+    return ohmic(current, voltage, sigma)
+
+
+def inductances_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
+    """``l_d``, ``l_q`` and ``delay`` from swept sines; `r` includes the switch [ohm]."""
+    of_d = impedance(log.labelled("sweep_d"), _columns(log, "d"), r, BAND["d"])
+    delay = of_d.delay.value
+    of_q = impedance(log.labelled("sweep_q"), _columns(log, "q"), r, BAND["q"], swings=True, delay=delay)
+    return {"l_d": of_d.inductance, "l_q": of_q.inductance, "delay": of_d.delay}
+
+
+def inductance_at_low_current(log: MeasurementLog, r: float) -> Estimate | None:
+    """``l_d`` [H] at a smaller d-axis current for comparison; None: not measured. `r`: resistance [ohm]."""
+    recordings = log.labelled("sweep_d_low")
+    return impedance(recordings, _columns(log, "d"), r, BAND["d"]).inductance if recordings else None
+
+
+def rotation_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
+    """``pole_pairs``, gains and offsets from a vector that rotates slowly in both directions.
+
+    Raises
+    ------
+    MeasurementError
+        If the shaft does not follow the vector, or the encoder counts in the opposite direction.
+    """
+    name = axis_name(log.axis)
+    slow = log.labelled("turn_slow")
+    if not slow:
+        raise MeasurementError("there is no recording of a rotating vector")
+    found = [follow_vector(one.columns[f"{name}.position"], one.columns[f"{name}.test_angle"]) for one in slow]
+    if len({one.pole_pairs for one in found}) != 1 or len({one.direction for one in found}) != 1:
+        raise MeasurementError("the shaft follows the rotating vector in one direction only: it is blocked or loaded")
+    if found[0].direction < 0:
+        raise MeasurementError(
+            "the encoder counts against the phase sequence: swap its lines A and B, or two wires of the motor"
+        )
+    return {"pole_pairs": Estimate(float(found[0].pole_pairs), 0.0), **sensor_errors(slow, name, r)}
+
+
+def _speeds(recording: Recording, name: str) -> tuple[float, float]:
+    """Mean speeds of vector (electrical) and shaft (mechanical) [rad/s]."""
+    angle, position = (recording.columns[f"{name}.{key}"] for key in ("test_angle", "position"))
+    usable = np.isfinite(angle) & np.isfinite(position)
+    time = recording.time[usable]
+    return tuple(float(np.polyfit(time, y, 1)[0]) for y in (np.unwrap(angle[usable]), position[usable]))  # type: ignore[return-value]
+
+
+def shaft_follows(recording: Recording, name: str, pairs: float) -> bool:
+    """Whether the shaft follows a rotating vector; `pairs`: number of pole pairs."""
+    electrical, shaft = _speeds(recording, name)
+    return abs(shaft * pairs - electrical) < FOLLOW_TOLERANCE * abs(electrical)
+
+
+def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate]:
+    """First estimate of ``psi_m`` [V s] from the back-EMF of a rotor that follows a rotating vector; `l_d` [H].
+
+    Raises
+    ------
+    MeasurementError
+        If the rotor does not follow, or induces no voltage.
+    """
+    name = axis_name(log.axis)
+    fast = [one for one in log.labelled("turn_fast") if shaft_follows(one, name, pairs)][-2:]
+    speeds = [_speeds(one, name)[0] for one in fast]
+    if len(fast) < 2 or speeds[0] * speeds[1] > 0.0:
+        raise MeasurementError(
+            "the shaft does not follow a rotating vector: it is blocked, or the current is too small"
+        )
+    means = [mean_of(one.columns[f"{name}.u_q"])[0] for one in fast]
+    current = mean_of(fast[0].columns[f"{name}.i_d"])[0]
+    induced = (means[0] - means[1]) / (speeds[0] - speeds[1]) - l_d * current
+    if not induced > 1e-4:
+        raise MeasurementError("the rotating rotor induces no voltage: it has no magnets, or a wire is open")
+    return {"psi_m": Estimate(induced, FLUX_UNCERTAINTY * induced)}
+
+
+def speed_runs_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic) -> dict[str, Estimate]:
+    """``psi_m``, friction, ``load`` and ``inertia`` from runs at several speeds."""
+    name = axis_name(log.axis)
+    runs = log.labelled("speed")
+    held = [steady_of(second_half(run), name) for run in log.labelled("hold")]
+    plain = [steady_of(run, name) for run in log.labelled("plain")]
+    if len(held) < 4 or len(plain) < 4:
+        raise MeasurementError(f"{len(held)} runs are too few for flux and friction: measure again")
+    pairs, l_d, l_q = round(known["pole_pairs"].value), known["l_d"].value, known["l_q"].value
+    psi = flux(held, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q, known["delay"].value)
+    i_d, i_q = (np.array([getattr(point, key).value for point in plain]) for key in ("i_d", "i_q"))
+    torque = torque_of(i_d, i_q, pairs, psi.value, l_d, l_q)
+    sigma = 1.5 * pairs * psi.value * np.array([point.i_q.sigma for point in plain])
+    acceleration = np.array([point.acceleration for point in plain])
+    inertia = Estimate(0.0, 0.0)
+    for _ in range(3):  # friction and inertia depend on each other slightly
+        parts = friction(plain, torque - inertia.value * acceleration, sigma)
+        resistance_torque = parts["friction"].value, parts["viscous"].value, parts["load"].value
+        inertia, _ = balance(runs, name, (pairs, psi.value, l_d, l_q), resistance_torque)
+    # the torque is computed from the flux and shares its relative error
+    scaled = {key: _with_part(value, psi.sigma / psi.value) for key, value in parts.items()}
+    return {"psi_m": psi, **scaled, "inertia": _with_part(inertia, psi.sigma / psi.value)}
+
+
+def _with_part(estimate: Estimate, part: float) -> Estimate:
+    return Estimate(estimate.value, math.hypot(estimate.sigma, part * estimate.value))
+
+
+def estimates_of(log: MeasurementLog) -> MotorEstimates:
+    """All values determined by the recordings of a test, and the causes of undetermined ones."""
+    r_on = float(log.notes["limits"]["r_on"])
+    values: dict[str, Estimate] = {}
+    undetermined: dict[str, str] = {}
+
+    def attempt(names: str, make: Callable[[], Mapping[str, Estimate]]) -> bool:
+        try:
+            values.update(make())
+        except MeasurementError as error:
+            undetermined.update(dict.fromkeys(names.split(), str(error)))
+            return False
+        return True
+
+    def standstill() -> dict[str, Estimate]:
+        found = resistance_of(log)
+        winding = Estimate(found.resistance.value - r_on, found.resistance.sigma)
+        return {"r_s": winding, "dead_voltage": found.lost}
+
+    if not attempt("r_s dead_voltage", standstill):
+        return MotorEstimates(values, undetermined)
+    total = values["r_s"].value + r_on
+    attempt("l_d l_q delay", lambda: inductances_of(log, total))
+    if "l_d" not in values:
+        return MotorEstimates(values, undetermined)
+    if attempt("pole_pairs gain_ratio", lambda: rotation_of(log, total)):
+        attempt("psi_m", lambda: flux_of(log, values["l_d"].value, values["pole_pairs"].value))
+        attempt("psi_m friction viscous load inertia", lambda: speed_runs_of(log, values, resistance_of(log)))
+    else:  # a blocked rotor has not aligned with the vector
+        for name in ("l_d", "l_q"):
+            values.pop(name)
+            undetermined[name] = "the rotor does not follow a current vector: its angle to the vector is unknown"
+    return MotorEstimates(values, undetermined)

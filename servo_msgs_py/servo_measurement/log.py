@@ -1,0 +1,266 @@
+"""Record of the calls and recordings of a measurement, stored in a file, and its replay on another board.
+
+A file is a numpy archive: ``log`` is JSON with the calls in order, ``r0``, ``r1`` .. are the recordings, one column per
+variable. A missing sample is NaN.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from servo_msgs_py.catalogue import Catalogue
+
+from servo_measurement.access import BoardAccess, MeasurementError, Recording, step_of
+
+FORMAT: Final = 1
+
+_MALFORMED: Final = (
+    KeyError,
+    ValueError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of a `BoardAccess`."""
+
+    kind: str  # ``write``, ``wait`` or ``record``
+    arguments: tuple[Any, ...]  # of `BoardAccess.write_words`; seconds; of `BoardAccess.record` without ``start``
+    inner: tuple[Call, ...] = ()  # calls made by ``start`` of a recording
+    label: str = ""  # purpose of a recording
+    stage: str = ""  # part of the measurement
+
+
+@dataclass
+class MeasurementLog:
+    """Calls and recordings in order."""
+
+    axis: int  # index of the measured axis
+    calls: list[Call] = field(default_factory=list)
+    recordings: list[Recording] = field(default_factory=list)  # one per ``record`` call
+    notes: dict[str, Any] = field(default_factory=dict)  # additional data: limits, first estimates, board time
+
+    def labelled(self, label: str) -> list[Recording]:
+        """Recordings with a label, in order."""
+        calls = [call for call in self.calls if call.kind == "record"]
+        return [recording for call, recording in zip(calls, self.recordings, strict=True) if call.label == label]
+
+    @property
+    def labels(self) -> list[str]:
+        """Label of each recording."""
+        return [call.label for call in self.calls if call.kind == "record"]
+
+    @property
+    def seconds(self) -> float:
+        """Minimum board time of all calls [s]."""
+        return sum(map(_seconds, self.calls))
+
+    def save(self, path: Path) -> None:
+        """Write a file."""
+        arrays: dict[str, Any] = {}
+        heads = []
+        for k, recording in enumerate(self.recordings):
+            arrays[f"r{k}"] = np.column_stack(list(recording.columns.values()))
+            heads.append({"step": recording.step, "names": list(recording.columns)})
+        text = {
+            "format": FORMAT,
+            "axis": self.axis,
+            "calls": [_as_json(call) for call in self.calls],
+            "recordings": heads,
+            "notes": self.notes,
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file:
+            np.savez_compressed(file, log=np.array(json.dumps(text)), **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> MeasurementLog:
+        """Read a file.
+
+        Raises
+        ------
+        MeasurementError
+            If its contents are malformed.
+        OSError
+            If it cannot be read.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                text: Mapping[str, Any] = json.loads(str(archive["log"]))
+                if text["format"] != FORMAT:
+                    raise MeasurementError(f"{path} has the format {text['format']}, not {FORMAT}: measure again")
+                recordings = []
+                for k, head in enumerate(text["recordings"]):
+                    table = np.asarray(archive[f"r{k}"], dtype=np.float64)
+                    columns = {name: table[:, column] for column, name in enumerate(head["names"])}
+                    recordings.append(Recording(float(head["step"]), columns))
+                calls, notes = [_of_json(call) for call in text["calls"]], dict(text["notes"])
+                return cls(int(text["axis"]), calls, recordings, notes)
+        except _MALFORMED:
+            raise MeasurementError(
+                f"{path} is not a complete measurement of identify: use its measurement.npz, or measure again"
+            ) from None
+
+
+def _seconds(call: Call) -> float:
+    if call.kind == "wait":
+        return float(call.arguments[0])
+    inner = sum(map(_seconds, call.inner))
+    if call.kind == "record":
+        _, samples, every, slow, _ = call.arguments
+        return max(inner, float(samples * step_of(every, slow)))
+    return inner
+
+
+def _as_json(call: Call) -> dict[str, Any]:
+    result: dict[str, Any] = {"kind": call.kind, "arguments": list(call.arguments)}
+    if call.inner:
+        result["inner"] = [_as_json(one) for one in call.inner]
+    if call.label:
+        result["label"] = call.label
+    if call.stage:
+        result["stage"] = call.stage
+    return result
+
+
+def _of_json(entry: Mapping[str, Any]) -> Call:
+    inner = tuple(_of_json(one) for one in entry.get("inner", ()))
+    return Call(entry["kind"], tuple(entry["arguments"]), inner, entry.get("label", ""), entry.get("stage", ""))
+
+
+class LoggedAccess(BoardAccess):
+    """Access that logs all calls.
+
+    Parameters
+    ----------
+    access : BoardAccess
+        The board.
+    log : MeasurementLog
+        The log.
+    """
+
+    def __init__(self, access: BoardAccess, log: MeasurementLog) -> None:
+        self._access = access
+        self.log = log
+        self.stage = ""  # part of the measurement in progress
+        self.label = ""  # purpose of the next recording
+        self._calls = log.calls
+
+    @property
+    def catalogue(self) -> Catalogue:
+        return self._access.catalogue
+
+    def read_words(self, name: str) -> list[int]:
+        return self._access.read_words(name)
+
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        self._calls.append(Call("write", (name, [int(word) for word in words], first), stage=self.stage))
+        return self._access.write_words(name, words, first)
+
+    def clock(self) -> float:
+        """Time of the access [s]."""
+        return self._access.clock()
+
+    def wait(self, seconds: float) -> None:
+        """Let board time elapse [s], and log it."""
+        self._calls.append(Call("wait", (seconds,), stage=self.stage))
+        self._access.wait(seconds)
+
+    def capacity(self, names: Sequence[str]) -> int:
+        return self._access.capacity(names)
+
+    def record(
+        self,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+        lead: float = 0.0,
+        meanwhile: Callable[[bool], None] | None = None,
+    ) -> Recording:
+        """Record with `label`, which applies to one recording; calls in `meanwhile` are not logged."""
+        outer, label = self._calls, self.label
+        inner: list[Call] = []
+        self.label = ""
+
+        def logged_start() -> None:
+            self._calls = inner
+            try:
+                if start is not None:
+                    start()
+            finally:
+                self._calls = outer
+
+        def unlogged(full: bool) -> None:
+            self._calls = []
+            try:
+                if meanwhile is not None:
+                    meanwhile(full)
+            finally:
+                self._calls = outer
+
+        recording = self._access.record(
+            names, samples, every, slow, logged_start, trigger=trigger, lead=lead, meanwhile=unlogged
+        )
+        outer.append(Call("record", (list(names), samples, every, slow, trigger), tuple(inner), label, self.stage))
+        self.log.recordings.append(recording)
+        return recording
+
+
+def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = ()) -> list[Recording]:
+    """Replay the calls of a log on another board.
+
+    Parameters
+    ----------
+    skipped : collection of str
+        Stages to omit; their recordings are copied from the log.
+
+    Returns
+    -------
+    list of Recording
+        One recording for each one in the log.
+
+    Raises
+    ------
+    MeasurementError
+        If a recording is not possible.
+    """
+    recordings: list[Recording] = []
+    for call in log.calls:
+        if call.stage not in skipped:
+            _repeat(call, access, recordings)
+        elif call.kind == "record":
+            recordings.append(log.recordings[len(recordings)])
+    return recordings
+
+
+def _repeat(call: Call, access: BoardAccess, recordings: list[Recording]) -> None:
+    if call.kind == "write":
+        name, words, first = call.arguments
+        access.write_words(name, words, first)
+    elif call.kind == "wait":
+        access.wait(call.arguments[0])
+    else:
+        names, samples, every, slow, trigger = call.arguments
+
+        def start() -> None:
+            for one in call.inner:
+                _repeat(one, access, recordings)
+
+        recordings.append(access.record(names, samples, every, slow, start, trigger=trigger))

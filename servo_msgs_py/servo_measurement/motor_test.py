@@ -1,0 +1,507 @@
+"""Identification tests of a motor of which only voltage and current limit are known.
+
+Each test uses the results of the previous ones. A current vector at a fixed angle holds the rotor: resistance and lost
+voltage, then inductances, with current controllers adapted to each estimate. The vector rotates: pole pairs, direction,
+flux. Then the rotor search of the firmware is possible, and torque pulses give a first inertia; finally the axis runs
+at several speeds under control: friction, load, inertia, and a better flux. Substates, limits and faults are those of
+the board.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults
+from servo_measurement.axis_under_test import REST_SPEED
+from servo_measurement.dead_time import band_of, check_band
+from servo_measurement.estimation import (
+    BAND,
+    PLAIN_TIME,
+    flux_of,
+    inductances_of,
+    resistance_of,
+    rotation_of,
+    shaft_follows,
+)
+from servo_measurement.log import LoggedAccess, MeasurementLog
+from servo_measurement.motor_rig import (
+    COMMAND_TIMEOUT,
+    LATENCY,
+    NOMINAL,
+    PROTECTION,
+    STOPPED,
+    SUPPLY_FAULTS,
+    TICK,
+    MotorRig,
+)
+from servo_measurement.motor_values import Estimate, Limits
+from servo_measurement.speed_runs import balance
+from servo_measurement.standstill import PERIOD, RESISTANCE_MIN, impedance
+
+FIRST_KP: Final = 0.05  # V/A; stable above 0.03 mH
+FIRST_KI: Final = 10.0  # V/(A s); stable above 0.05 ohm
+LEVELS: Final = tuple(float(level) for level in np.linspace(0.2, 1.0, 9))
+"""Currents for the resistance, relative to the limit."""
+VECTOR: Final = 0.7  # current that holds the rotor during its test, relative to the limit
+SWEEP: Final[Mapping[str, float]] = {"d": 0.28, "q": 0.2}
+"""Amplitudes relative to the current limit, small enough that no phase current changes its sign."""
+SWEEPS: Final = 3
+VECTOR_LOW: Final = 0.35  # current for the comparison of the inductance, relative to the limit
+SWEEP_LOW: Final = 0.2  # amplitude of the test signal there
+VOLTAGE_USE: Final = 0.6  # largest resistive voltage drop, relative to the voltage
+TURN: Final = "turn"
+PULSES: Final = "pulses"
+"""Stages that a simulation of the measurement can omit: they begin and end at rest."""
+ROUNDS: Final = 7
+EXPLAINED_MIN: Final = 0.9  # part of the current explained by a response that is above the noise
+LOOP: Final = 400.0  # bandwidth of the current loop with known inductance [Hz]
+TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
+TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
+"""Speeds, tried in this order until the rotor follows."""
+TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
+TURN_SETTLE: Final = 0.1  # [s]
+PULSE: Final = 0.5  # relative to the current limit
+PULSE_SPEED: Final = 0.5  # speed limit of the board during the pulses, relative to the largest speed
+PULSE_MAX: Final = 1.5  # [s]
+MOVED: Final = 0.03  # smallest movement of a shaft that is not blocked [rad]
+BRAKE_TIME: Final = 0.15  # time constant of the deceleration after a pulse [s]
+SPEEDS: Final = (0.3, 0.6, 1.0)
+VERIFY_TIME_UNKNOWN: Final = 0.6
+"""Duration of the verification of a rotor search with an unknown inertia [s]: the longest period of a shaft that has
+followed the rotating vector."""
+SEARCH_PAUSE: Final = 0.5
+"""Wait between the rotor search and the first run [s], because a simulated search can take longer."""
+FLUX_CURRENT: Final = 0.4  # d-axis current at constant speed, relative to the limit
+FLUX_CURRENT_VOLTAGE: Final = 0.3  # its largest voltage drop, relative to the voltage
+FLUX_CURRENT_FREQUENCY: Final = 0.4  # [Hz]
+FLUX_CURRENT_TIME: Final = 0.8  # [s]
+HOLD_SAMPLES: Final = 640  # every second slow tick, from the beginning of that current
+ROOM_USE: Final = 0.9  # travel used, relative to the distance to the limits
+OVERSHOOT: Final = 1.18  # of the speed after a reversal, relative to the set-point
+SETTLE: Final = 0.3  # at a new speed [s]
+SETTLE_BEFORE: Final = 0.15  # before the speed is changed [s]
+SETTLE_HOLD: Final = 0.45  # before a d-axis current: a remaining transient would distort the flux [s]
+APPROACH_MAX: Final = 1.2  # longest acceleration time [s]
+
+MODEL_BASED_FAULTS: Final = ("PHASE_LOST", "ENCODER_LOST", "ANGLE_MISMATCH", "STALLED", "CURRENT_SENSE")
+"""Faults whose monitors need motor values; the tests at standstill detect their causes themselves."""
+
+REMEDY: Final = (
+    ". The board restores configuration and parameters itself when its host is silent and the shaft at rest, and "
+    "cannot be enabled before; a restart loads the stored ones"
+)
+
+_SPIN: Final = ("position", "speed", "speed_ref", "i_q", "i_d")
+_PLAIN: Final = ("position", "i_q", "i_d")
+_HELD: Final = ("position", "i_q", "i_d", "u_q", "u_d")
+
+
+class MotorTest:
+    """Identification of the motor of one axis.
+
+    Parameters
+    ----------
+    access : BoardAccess
+        The board, at rest with its outputs off.
+    axis : int
+        Index of the axis.
+    limits : Limits
+        Limits of the test.
+    base : mapping
+        Parsed ``servo.toml`` for entries other than motor values.
+    report : callable, optional
+        Called with a line of text for each step.
+    """
+
+    def __init__(
+        self,
+        access: BoardAccess,
+        axis: int,
+        limits: Limits,
+        base: Mapping[str, Any],
+        report: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.log = MeasurementLog(axis)
+        self.log.notes["limits"] = dataclasses.asdict(limits)
+        self._rig = MotorRig(LoggedAccess(access, self.log), axis, limits, base, report)
+        self._values: dict[str, Estimate] = {}
+        self._band = 0.0  # range of sign changes if it contains all phase currents [A]
+        self._current = limits.current  # largest current, reduced if the resistive voltage drop is too large [A]
+
+    # ---- interface ------------------------------------------------------------------------------------------
+
+    def run(self) -> MeasurementLog:
+        """Run all tests; afterwards the board is in its initial state, outputs off.
+
+        Failed restorations are in `unrestored` in any case, and are reported.
+
+        Raises
+        ------
+        MeasurementError, BlockRefusedError
+            If a test is not possible; the message contains the remedy.
+        """
+        self._check()
+        rig = self._rig
+        rig.keep_protection()
+        monitors = rig.access.read_words("param.faults_enabled")[rig.axis]
+        rig.access.stage = PROTECTION
+        with rig.session([("outputs off and shaft at rest", rig.off)], REMEDY):
+            try:
+                rig.access.stage = ""
+                rig.command_timeout(COMMAND_TIMEOUT)
+                # these monitors depend on a resistance and current controllers that are still unknown
+                rig.enable_monitors_except(monitors, *MODEL_BASED_FAULTS)
+                self._standstill()
+                self._rotate()
+                # without dead-time compensation, monitors of phases and converters can treat small currents as zero;
+                # all phases and converters have been tested by now
+                rig.enable_monitors_except(monitors, "PHASE_LOST", "CURRENT_SENSE")
+                self._spin()
+            finally:
+                rig.access.stage = PROTECTION
+        return self.log
+
+    @property
+    def unrestored(self) -> Sequence[str]:
+        """Failed restorations with their causes."""
+        return self._rig.unrestored
+
+    @property
+    def restoring_text(self) -> str:
+        """Text about failed restorations with remedy; empty if there are none."""
+        return self._rig.restoring_text(REMEDY)
+
+    # ---- steps -------------------------------------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        """Check that the axis can be tested, without writing to the board."""
+        rig = self._rig
+        states = rig.access.catalogue.enums["state_t"]
+        for axis in range(AXES):
+            if rig.access.read(f"{axis_name(axis)}.state")[0] != states["RUN"]:
+                continue
+            reason = (
+                "its configuration can only be changed with outputs off"
+                if axis == rig.axis
+                else "the command timeout of both axes is changed during the test"
+            )
+            raise MeasurementError(f"{axis_name(axis)} is enabled: disable it first, {reason}")
+        rig.check_limits()
+        refuse_faults(rig.access, rig.axis, *SUPPLY_FAULTS)
+        if (state := rig.label("state")) not in ("STOP", "FAULT"):
+            raise MeasurementError(f"{rig.name} is in {state}, not in STOP: wait")
+        # after power-on a rotor with cogging oscillates; a load needs time to move the shaft
+        if not (rig.reached(rig.is_at_rest, 2.0) and self._remains_at_rest()):
+            raise MeasurementError("the shaft moves before the test: remove the load, or balance it")
+
+    def _remains_at_rest(self) -> bool:
+        """True if the shaft stays at rest."""
+        begin = self._rig.value("position")
+        self._rig.wait(0.2)
+        return abs(self._rig.value("position") - begin) < MOVED and self._rig.is_at_rest()
+
+    def _standstill(self) -> None:
+        rig = self._rig
+        current = self._current
+        rig.report("holding the rotor: resistance")
+        rig.configure(FIRST_KP, FIRST_KI)
+        rig.accept_supply()
+        rig.mode("TEST")
+        rig.command("cmd.speed", 0.0)
+        rig.command("cmd.i_q", 0.0)
+        rig.enable("TEST", 1.0)
+        first, second = (self._held_at(part * current) for part in (VECTOR_LOW, VECTOR))
+        # the difference does not contain the voltage lost by dead time and switches
+        r = max((second[1] - first[1]) / (second[0] - first[0]), RESISTANCE_MIN)
+        self._band = band_of(r, rig.lost_voltage)
+        voltage_max = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0)
+        current = self._current = min(rig.limits.current, voltage_max / r)
+        rig.command("cmd.i_q", VECTOR * current)
+        rig.wait(0.1)
+        self._first_inductance(r)
+        rig.report("holding the rotor: series of currents")
+        self._levels()
+        found = resistance_of(self.log)
+        self._values["r_s"] = Estimate(found.resistance.value - rig.limits.r_on, found.resistance.sigma)
+        self._values["dead_voltage"] = found.lost
+        self._check_band(found.band)
+        rig.report("holding the rotor: inductances")
+        rig.command("cmd.i_q", VECTOR * current)
+        rig.wait(0.1)
+        for point in ("d", "q"):
+            for _ in range(SWEEPS):
+                rig.sweep(f"sweep_{point}", point, SWEEP[point] * current)
+        self._values.update(inductances_of(self.log, found.resistance.value))
+        # smaller d-axis current, for saturation of the iron
+        rig.command("cmd.i_q", VECTOR_LOW * current)
+        rig.wait(0.1)
+        rig.sweep("sweep_d_low", "d", SWEEP_LOW * current)
+        smallest = 0.5 * (VECTOR_LOW - SWEEP_LOW) * current
+        self.log.notes["comparable"] = smallest > self._dead_time_change(self._values["l_d"].value)
+        self.log.notes["bias"] = {"l_d": VECTOR * current, "l_d_low": VECTOR_LOW * current}
+
+    def _first_inductance(self, r: float) -> None:
+        """Adapt the current controllers to the inductance of the d axis."""
+        rig = self._rig
+        kp = FIRST_KP
+        names = f"{rig.name}.i_d", f"{rig.name}.u_d", f"{rig.name}.test_signal"
+        for _ in range(ROUNDS):
+            recording = rig.sweep("first", "d", SWEEP["d"] * self._current)
+            try:
+                fit = impedance([recording], names, r, BAND["d"], delay=0.5 * PERIOD, any_resistance=True)
+                found, explained = fit.inductance, fit.explained > EXPLAINED_MIN
+            except (ValueError, np.linalg.LinAlgError):
+                found, explained = Estimate(kp / (2.0 * math.pi * LOOP), math.inf), False
+            known = explained and found.part < 0.3
+            if explained and not known:
+                self._refuse_small_current()
+                raise MeasurementError(
+                    f"the inductance is hidden with {self._current:.3g} A by the dead time of the switches: use more"
+                    " current, or a lower bus voltage"
+                )
+            gain = 2.0 * math.pi * LOOP * found.value if known else 3.0 * kp
+            # an integral part faster than the loop would make it oscillate
+            rig.configure(gain, gain * min(r / max(found.value, 1e-6), math.pi * LOOP), live=True)
+            if known and gain < 4.0 * kp:
+                return
+            kp = gain
+        self._refuse_small_current()
+        raise MeasurementError(
+            f"the current does not respond to a test signal of {SWEEP['d'] * self._current:.2g} A: check the connection"
+            " of all three motor wires, or use more current"
+        )
+
+    def _refuse_small_current(self) -> None:
+        """Raise an error if a too small current is the reason why a test signal has no result."""
+        self._levels(settle=0.3)
+        self._check_band(max(resistance_of(self.log).band, self._band))
+
+    def _check_band(self, band: float) -> None:
+        maximum = self._rig.access.catalogue["param.i_q_limit"].maximum
+        check_band(band, self._band, self._current, self._rig.limits, maximum)
+
+    def _dead_time_change(self, inductance: float) -> float:
+        """Change of a phase current by the bus voltage in a dead time [A]; `inductance` [H]."""
+        return self._rig.limits.voltage * self._rig.dead_time / inductance
+
+    def _levels(self, settle: float = 0.06) -> None:
+        rig = self._rig
+        for part in LEVELS:
+            rig.command("cmd.i_q", part * self._current)
+            rig.wait(settle)
+            rig.slow("level", ("i_d", "u_d"), 100)
+
+    def _rotate(self) -> None:
+        rig = self._rig
+        rig.report("rotating vector: pole pairs, direction, flux")
+        rig.access.stage = TURN
+        rig.command("cmd.i_q", self._current)
+        rig.wait(0.1)
+        names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
+        rig.write("param.acceleration_limit", TURN_RAMP / NOMINAL["pole_pairs"])
+        for direction in (1.0, -1.0):
+            self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW)
+        r = self._values["r_s"].value + rig.limits.r_on
+        self._values.update(rotation_of(self.log, r))
+        pairs = self._values["pole_pairs"].value
+        travel_max = 2.0 * math.pi * rig.limits.turns * pairs
+        for electrical in TURN_FAST:
+            if electrical**2 / TURN_RAMP + electrical * (TURN_SETTLE + 500 * TICK + LATENCY) > travel_max:
+                continue
+            recordings = [
+                self._record_rotating("turn_fast", names, 250, 2, direction * electrical) for direction in (1.0, -1.0)
+            ]
+            if all(shaft_follows(one, rig.name, pairs) for one in recordings):
+                break
+        self._values.update(flux_of(self.log, self._values["l_d"].value, self._values["pole_pairs"].value))
+        rig.access.stage = ""
+        rig.command("cmd.i_q", 0.0)
+        rig.wait(0.05)
+        rig.off()
+
+    def _spin(self) -> None:
+        rig = self._rig
+        rig.report("torque pulses: first inertia")
+        rig.access.stage = PULSES
+        pairs, psi = round(self._values["pole_pairs"].value), self._values["psi_m"].value
+        torque = 1.5 * pairs * psi * rig.limits.current
+        motor = {
+            **{name: self._values[name].value for name in ("l_d", "l_q", "psi_m", "pole_pairs")},
+            "r_s": self._values["r_s"].value + rig.limits.r_on,
+            "inertia": torque / 3000.0,
+            "friction": 0.02 * torque,
+            "viscous": 0.0,
+        }
+        rig.configure_for(rig.fitted(motor, VERIFY_TIME_UNKNOWN))
+        rig.mode("TORQUE")
+        rig.write("param.speed_limit", PULSE_SPEED * self._speed_max())
+        rig.command("cmd.i_q", 0.0)
+        rig.search_rotor()
+        inertia, coulomb = self._pulses(motor)
+        rig.off()
+        rig.access.stage = ""
+        motor |= {"inertia": inertia, "friction": min(max(coulomb, 0.0), 0.5 * torque)}
+        rig.report("running at several speeds")
+        table = rig.fitted(motor)
+        rig.configure_for(table)
+        for name in ("speed", "acceleration"):
+            rig.write(f"param.{name}_limit", table[rig.name]["limits"][name])
+        rig.mode("SPEED")
+        rig.command("cmd.speed", 0.0)
+        rig.search_rotor()
+        rig.wait(SEARCH_PAUSE)
+        self._speeds(table[rig.name]["limits"], inertia)
+        rig.off()
+
+    def _pulses(self, motor: Mapping[str, float]) -> tuple[float, float]:
+        """Inertia and Coulomb friction from torque in both directions."""
+        rig = self._rig
+        part, travel_max = PULSE, 0.25 * rig.limits.turns * 2.0 * math.pi
+        target = 0.25 * self._speed_max()
+        for _ in range(3):
+            start, begin = rig.value("position"), rig.access.read("tick")[0]
+            rig.command("cmd.i_q", part * rig.limits.current)
+            seconds = reached = moved = 0.0
+            while seconds < PULSE_MAX and moved < travel_max and (reached < target or moved < MOVED):
+                rig.wait(0.002)
+                reached = abs(rig.value("speed"))
+                seconds = ((rig.access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
+                moved = abs(rig.value("position") - start)
+            rig.command("cmd.i_q", 0.0)
+            refuse_faults(rig.access, rig.axis)
+            if moved >= MOVED:
+                break
+            part *= 1.4
+        else:
+            raise MeasurementError("the shaft does not move at full torque: it is blocked, or the load is too large")
+        current = part * rig.limits.current
+        braking = current * seconds / (max(reached, 1.0) * BRAKE_TIME)
+        self._brake(braking, current)
+        seconds = max(seconds, 0.01)
+        every = max(math.ceil(4.5 * seconds / TICK / rig.capacity(_SPIN)), 1)
+        samples = max(int(2.2 * seconds / TICK / every), 12)
+        recordings = []
+        for direction in (-1.0, 1.0):
+
+            def pulse(direction: float = direction) -> None:
+                rig.start_signal("D")
+                for part_of_time, torque in ((1.0, direction), (0.7, -direction)):
+                    rig.command("cmd.i_q", torque * current)
+                    rig.wait(part_of_time * seconds)
+                rig.command("cmd.i_q", 0.0)
+                rig.wait(max(samples * every * TICK - 1.7 * seconds, 0.0))
+                self._brake(braking, current)
+
+            rig.mark()
+            recordings.append(rig.slow("pulse", _SPIN, samples, every, pulse))
+        found, coulomb = balance(
+            recordings, rig.name, (round(motor["pole_pairs"]), motor["psi_m"], motor["l_d"], motor["l_q"]), None
+        )
+        if found.value <= 0.0:
+            raise MeasurementError(
+                "torque pulses give no inertia: the shaft is blocked, or an external torque acts on it"
+            )
+        return found.value, coulomb.value
+
+    def _brake(self, gain: float, maximum: float) -> None:
+        """Stop the shaft by torque.
+
+        Parameters
+        ----------
+        gain : float
+            Current over speed [A s/rad].
+        maximum : float
+            Largest current [A].
+        """
+        rig = self._rig
+        for _ in range(400):
+            speed = rig.value("speed")
+            if abs(speed) < 2.0 * REST_SPEED:
+                break
+            rig.command("cmd.i_q", -math.copysign(min(gain * abs(speed), maximum), speed))
+            rig.wait(0.005)
+        rig.command("cmd.i_q", 0.0)
+        rig.wait_for_rest()
+
+    def _speeds(self, limits: Mapping[str, float], inertia: float) -> None:
+        rig = self._rig
+        acceleration = limits["acceleration"]
+        maximum = min(limits["speed"], self._speed_max(), rig.limits.speed / OVERSHOOT)
+        # a reversal feeds the kinetic energy of the shaft back into the bus
+        maximum = min(maximum, math.sqrt(2.0 * rig.limits.energy / inertia))
+        maximum = min(maximum, APPROACH_MAX * acceleration)
+        # each recording begins and ends at rest, and the direction alternates
+        travel_max = ROOM_USE * rig.free_travel
+        longest = max(SETTLE + PLAIN_TIME, SETTLE_HOLD + FLUX_CURRENT_TIME) + LATENCY
+        while maximum * longest + maximum**2 / acceleration > travel_max:
+            maximum *= 0.95
+        room = maximum * longest + maximum**2 / acceleration
+        r = self._values["r_s"].value + rig.limits.r_on
+        flux_current = min(
+            FLUX_CURRENT * rig.limits.current, FLUX_CURRENT_VOLTAGE * rig.limits.voltage / math.sqrt(3.0) / r
+        )
+        before = 0.0
+        for part in SPEEDS:
+            speeds = [direction * part * maximum for direction in (1.0, -1.0)]
+            for speed in speeds:
+                rig.make_room(room, maximum, acceleration)
+                seconds = abs(speed - before) / acceleration + SETTLE
+                every = math.ceil(seconds / TICK / rig.capacity(_SPIN))
+                change = partial(rig.command, "cmd.speed", speed)
+                times = abs(before) / acceleration + SETTLE_BEFORE, abs(speed) / acceleration + STOPPED
+                rig.moving("speed", _SPIN, int(seconds / TICK / every), every, before, times, change)
+                before = speed
+            for speed in speeds:
+                rig.make_room(room, maximum, acceleration)
+                ramp = abs(speed) / acceleration
+                rig.moving("plain", _PLAIN, round(PLAIN_TIME / TICK), 1, speed, (ramp + SETTLE, ramp + STOPPED))
+            for speed in speeds:
+                rig.make_room(room, maximum, acceleration)
+                # With a d-axis current the phase currents are rarely near zero, where the dead-time voltage is
+                # uncertain; a slow sine has no steps.
+                ramp = abs(speed) / acceleration
+                times = ramp + SETTLE_HOLD, ramp + STOPPED
+                rig.signal("D", flux_current, FLUX_CURRENT_FREQUENCY, FLUX_CURRENT_FREQUENCY, FLUX_CURRENT_TIME)
+                begin = partial(rig.start_signal, "D")
+                rig.moving("hold", _HELD, HOLD_SAMPLES, 2, speed, times, begin, mark=False)
+                rig.wait(max(FLUX_CURRENT_TIME - 2.0 * HOLD_SAMPLES * TICK - times[1], 0.0) + TICK)
+
+    def _record_rotating(
+        self, label: str, columns: Sequence[str], samples: int, every: int, electrical: float
+    ) -> Recording:
+        """A recording with a vector rotating at an electrical speed [rad/s]."""
+        times = abs(electrical) / TURN_RAMP + TURN_SETTLE, abs(electrical) / TURN_RAMP + STOPPED
+        return self._rig.moving(label, columns, samples, every, electrical / NOMINAL["pole_pairs"], times)
+
+    def _held_at(self, current: float) -> tuple[float, float]:
+        """Mean current [A] and voltage [V] with a rotor held by this current [A]."""
+        self._rig.command("cmd.i_q", current)
+        self._wait_for_current(current, 4.0)
+        self._rig.wait(0.3)
+        columns = self._rig.slow("ratio", ("i_d", "u_d"), 100).columns
+        i_d, u_d = (float(np.nanmean(column)) for column in columns.values())
+        return i_d, u_d
+
+    def _wait_for_current(self, current: float, seconds: float) -> None:
+        """Wait until the current is reached."""
+        rig = self._rig
+        if rig.reached(lambda: abs(rig.value("i_d") - current) < 0.05 * current + 0.02, seconds):
+            return
+        measured, volts = rig.value("i_d"), rig.value("u_d")
+        raise MeasurementError(
+            f"the current is {measured:.2f} A instead of {current:.2f} A at {volts:.1f} V: the winding is open or its"
+            " resistance is too high for the bus voltage; check the wires, or lower --current"
+        )
+
+    def _speed_max(self) -> float:
+        pairs, psi = self._values["pole_pairs"].value, self._values["psi_m"].value
+        limits = self._rig.limits
+        return min(limits.speed, 0.8 * limits.voltage / math.sqrt(3.0) / (pairs * psi))

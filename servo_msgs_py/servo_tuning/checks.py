@@ -1,0 +1,191 @@
+"""Consistency checks between entries of the configuration."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
+
+from servo_tuning.configuration import Axis, Board, Configuration, Scales
+from servo_tuning.constants import SIGN_USE, dead_time_current
+from servo_tuning.errors import either, exactly, higher, lower
+from servo_tuning.field_weakening import idle_speed
+from servo_tuning.rotor_search import check_rotor_search
+from servo_tuning.sensorless_checks import check_observer_entries
+from servo_tuning.winding import check_winding
+
+
+def check(configuration: Configuration, catalogue: Catalogue) -> None:
+    """Check everything that does not depend on the gains.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration cannot work.
+    """
+    board = configuration.board
+    _board(board, configuration.scales, catalogue)
+    if board.complete:
+        _bus(configuration)
+    for axis in configuration.axes:
+        _contract(axis, catalogue)
+        _axis(axis)
+        _voltage(axis, board)
+        _order(axis, board)
+        check_rotor_search(axis, board)
+        _stops(axis, configuration.scales)
+        check_winding(axis)
+        check_observer_entries(axis)
+        _home(axis)
+
+
+def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
+    """Check frequencies, voltages, dead time and timeouts."""
+    for key, expected in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
+        if board(key) != expected:
+            raise board.refused(key, "fixed by the firmware", exactly(f"board.{key}", float(expected)))
+    order = ("under_voltage", "nominal_voltage", "over_voltage")
+    for below, above in itertools.pairwise(order):
+        if board(below) >= board(above):
+            reason = f"not below {above} = {board(above):g} V"
+            raise board.refused(below, reason, lower(f"board.{below}"), higher(f"board.{above}"))
+    if board("over_voltage") >= scales.u_dc:
+        reason = f"not below the ADC range of {scales.u_dc:g} V"
+        raise board.refused("over_voltage", reason, lower("board.over_voltage"))
+    if board("dead_time") >= 0.5 * board.period:
+        reason = f"two dead times fill the PWM period of {board.period:g} s"
+        raise board.refused("dead_time", reason, lower("board.dead_time"))
+    for key in ("host_timeout", "command_timeout"):
+        timeout = catalogue[f"param.{key}"]
+        if not timeout.minimum <= board(key) <= timeout.maximum:
+            reason = f"outside the range {timeout.minimum:g} .. {timeout.maximum:g} s of param.{key}"
+            raise board.refused(key, reason, either(f"board.{key}"))
+
+
+def _contract(axis: Axis, catalogue: Catalogue) -> None:
+    """Check that the defaults lie within the ranges of the table of variables."""
+    names = {"current": "i_q_limit", "speed": "speed_limit", "acceleration": "acceleration_limit"}
+    names |= {"position": "position_max", "following_error": "following_error", "over_speed": "over_speed"}
+    for key, name in names.items():
+        variable, value = catalogue[f"param.{name}"], axis(f"limits.{key}")
+        if not variable.minimum <= value <= variable.maximum:
+            span = f"{variable.minimum:g} .. {variable.maximum:g} {variable.unit}"
+            raise axis.refused(f"limits.{key}", f"outside the range {span} of param.{name}", either(f"limits.{key}"))
+
+
+def _axis(axis: Axis) -> None:
+    """Check encoder, limits, friction and inertia."""
+    if axis.counts != COUNTS_PER_TURN:
+        reason = f"the firmware is built for {COUNTS_PER_TURN} counts per turn, 4 per line"
+        raise axis.refused("encoder.lines", reason, exactly("encoder.lines", COUNTS_PER_TURN / 4.0))
+    if axis("control.anti_windup") >= 1.0:
+        raise axis.refused("control.anti_windup", "Kc of DRM E35 lies between 0 and 1", lower("control.anti_windup"))
+    if axis.features["over_speed"] and axis("limits.over_speed") <= axis("limits.speed"):
+        reason = f"not above the largest speed set-point, {axis('limits.speed'):g} rad/s (limits.speed)"
+        raise axis.refused("limits.over_speed", reason, higher("limits.over_speed"), lower("limits.speed"))
+    if axis("timing.stop_speed") >= axis("limits.speed"):
+        reason = f"not below the speed limit, {axis('limits.speed'):g} rad/s: a stop would be complete at any speed"
+        raise axis.refused("timing.stop_speed", reason, lower("timing.stop_speed"), higher("limits.speed"))
+    torque = axis.torque_constant * axis("limits.current")
+    if axis("friction.coulomb") >= torque:
+        reason = f"the current limit gives {torque:.3g} N m, too little to rotate the shaft"
+        raise axis.refused(
+            "friction.coulomb", reason, lower("friction.coulomb"), higher("limits.current"), "correct motor.psi_m"
+        )
+    if axis("motor.rotor_inertia") > axis("motor.inertia"):
+        reason = f"more than motor.inertia = {axis('motor.inertia'):g} kg m^2, which includes it"
+        raise axis.refused("motor.rotor_inertia", reason, lower("motor.rotor_inertia"), higher("motor.inertia"))
+
+
+def _voltage(axis: Axis, board: Board) -> None:
+    change = dead_time_current(axis, board)
+    if change > SIGN_USE * axis("limits.current"):
+        reason = (
+            f"the current of this winding changes by {change:.3g} A during a dead time, more than {SIGN_USE:g} of it: "
+            "its direction is not known"
+        )
+        advice = "add inductance to the motor cable"
+        raise axis.refused("limits.current", reason, higher("limits.current"), either("motor.l_d"), advice)
+    maximum = idle_speed(axis, board)
+    if axis("limits.speed") > maximum:
+        reason = f"above the no-load speed of {maximum:.4g} rad/s at {board('nominal_voltage'):g} V"
+        advice = "switch field_weakening on, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
+        raise axis.refused("limits.speed", reason, lower("limits.speed"), advice)
+
+
+def _order(axis: Axis, board: Board) -> None:
+    """Check that each loop is slower than its inner loop, and the innermost loop slower than its sampling."""
+    speed, current = (2.0 * math.pi * axis(f"control.{key}_bandwidth") for key in ("speed", "current"))
+    if axis("control.position_gain") >= speed:
+        reason = f"not below the bandwidth of the inner speed loop, {speed:.4g} rad/s"
+        changes = lower("control.position_gain"), higher("control.speed_bandwidth")
+        raise axis.refused("control.position_gain", reason, *changes)
+    if speed >= current:
+        reason = f"not below control.current_bandwidth = {axis('control.current_bandwidth'):g} Hz"
+        raise axis.refused(
+            "control.speed_bandwidth", reason, lower("control.speed_bandwidth"), higher("control.current_bandwidth")
+        )
+    if 2.0 * axis("control.current_bandwidth") >= board("pwm_frequency"):
+        reason = f"too high for the sampling rate of {board('pwm_frequency'):g} Hz"
+        raise axis.refused("control.current_bandwidth", reason, lower("control.current_bandwidth"))
+
+
+def _bus(configuration: Configuration) -> None:
+    """Check the order of the bus voltage thresholds and the ratings of the brake resistor."""
+    board = configuration.board
+    order = ["regeneration.start_voltage", "regeneration.full_voltage", "over_voltage"]
+    if board.brake:
+        order = ["brake.off_voltage", "brake.on_voltage", *order]
+    for below, above in itertools.pairwise(["nominal_voltage", *order]):
+        if board(below) >= board(above):
+            reason = f"not above {below} = {board(below):g} V"
+            raise board.refused(above, reason, higher(f"board.{above}"), lower(f"board.{below}"))
+    if not board.brake:
+        return
+    dissipated = board("brake.on_voltage") ** 2 / board("brake.resistance")
+    returned = sum(_returned(axis, board) for axis in configuration.axes)
+    if dissipated < returned:
+        reason = (
+            f"at {board('brake.on_voltage'):g} V it dissipates {dissipated:.3g} W, less than the {returned:.3g} W that"
+            " all braking axes return"
+        )
+        raise board.refused("brake.resistance", reason, lower("board.brake.resistance"))
+    kinetic = sum(0.5 * axis("motor.inertia") * axis("limits.speed") ** 2 for axis in configuration.axes)
+    if board("brake.energy") < kinetic:
+        reason = f"all axes together return up to {kinetic:.3g} J when they brake from their speed limits"
+        raise board.refused("brake.energy", reason, higher("board.brake.energy"), "fit another resistor")
+    if board("brake.power") >= dissipated:
+        reason = (
+            f"at {board('brake.on_voltage'):g} V it dissipates {dissipated:.3g} W, not more than the continuous rating"
+        )
+        raise board.refused("brake.power", reason, lower("board.brake.power"))
+
+
+def _returned(axis: Axis, board: Board) -> float:
+    """Largest power that an axis returns to the bus when it brakes from its speed limit, less copper losses [W]."""
+    emf, r_s = axis("motor.pole_pairs") * axis("motor.psi_m") * axis("limits.speed"), axis("motor.r_s")
+    current = min(axis("limits.current"), 0.5 * emf / r_s)  # above this current the copper losses grow faster
+    return 1.5 * current * (emf - r_s * current)
+
+
+def _home(axis: Axis) -> None:
+    """Check contact detection and spread of a homing."""
+    if axis("home.speed") < 1.0:
+        reason = "too slow: the later approaches use a quarter of it, too few counts for the contact detection"
+        raise axis.refused("home.speed", reason, higher("home.speed"))
+    if axis("home.spread") >= axis("home.back_off"):
+        reason = f"not below home.back_off = {axis('home.back_off'):g} rad"
+        raise axis.refused("home.spread", reason, lower("home.spread"), higher("home.back_off"))
+
+
+def _stops(axis: Axis, scales: Scales) -> None:
+    if axis("stop.short_current") > scales.i:
+        reason = f"above the range of the shunts, {scales.i:g} A"
+        raise axis.refused("stop.short_current", reason, lower("stop.short_current"))
+    ramp = axis("limits.speed") / axis("limits.acceleration") + axis("timing.stop_max")
+    if axis("stop.time_max") < ramp:
+        reason = f"a ramp from the speed limit at limits.acceleration and timing.stop_max take {ramp:.3g} s"
+        changes = higher("stop.time_max"), higher("limits.acceleration"), lower("limits.speed")
+        raise axis.refused("stop.time_max", reason, *changes)

@@ -1,0 +1,240 @@
+"""Nominal values of the controller for the board and its axes, as immutable objects; defaults merged in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.catalogue import Catalogue
+
+from servo_tuning.errors import ConfigError, Remedy, refused
+from servo_tuning.passwords import password_entries
+from servo_tuning.schema import (
+    AXIS_GROUPS,
+    BOARD_GROUPS,
+    check_group,
+    check_switches,
+    check_table,
+    unknown_name,
+)
+from servo_tuning.stops import Stops
+from servo_tuning.temperature import Temperature
+
+FEEDBACKS: Final = ("encoder", "observer")
+"""Sources of angle and speed; the first is the default."""
+
+PINS: Final = ("home", "limit_min", "limit_max", "enable", "brake")
+"""Pins that can be fitted, in the order of the bits of ``pins.fitted``."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Full scales of the contract, SI."""
+
+    u_dc: float  # bus voltage [V]
+    u_s: float  # stator voltage [V]
+    i: float  # current [A]
+    speed: float  # mechanical speed [rad/s]
+    torque_constant: float  # torque per current [N m/A]
+
+    @classmethod
+    def of(cls, catalogue: Catalogue) -> Scales:
+        def full(name: str) -> float:
+            value = catalogue.scales[name].full_scale
+            assert value is not None, name
+            return value
+
+        return cls(full("bus_voltage"), full("stator_voltage"), full("current"), full("speed"), full("torque_per_amp"))
+
+
+@dataclass(frozen=True)
+class Board:
+    """The group [board]; values by key, such as ``board("dead_time")`` and ``board("brake.power")``."""
+
+    values: Mapping[str, float]  # by key, or by group and key
+    temperature: Temperature  # of the heat sinks
+    brake: bool  # whether there is a brake resistor
+    passwords: Mapping[str, str]  # entry of each level that has one: a hash, or the name of an environment variable
+    complete: bool = True
+    """Whether [board.brake] and [board.regeneration] are present: both or neither. No configuration block of an axis
+    depends on them."""
+
+    def __call__(self, key: str) -> float:
+        return self.values[key]
+
+    @property
+    def period(self) -> float:
+        """Period of the fast loop [s]."""
+        return 1.0 / self("pwm_frequency")
+
+    @property
+    def tick(self) -> float:
+        """Period of the slow loop [s]."""
+        return self("slow_divider") * self.period
+
+    @property
+    def voltage_max(self) -> float:
+        """Largest stator voltage at the nominal bus voltage: ``voltage_use`` times u_dc / sqrt 3 [V]."""
+        return self("nominal_voltage") / math.sqrt(3.0) * self("voltage_use")
+
+    @classmethod
+    def of(cls, table: object) -> Board:
+        """Check each number of the group by itself.
+
+        Raises
+        ------
+        ConfigError
+            If an entry is missing, unknown or out of range.
+        """
+        plain = dict(check_table("board", table))
+        temperature = Temperature.of(plain.pop("temperature", {}))
+        passwords = password_entries(plain.pop("passwords", {}))
+        absent = all(group not in plain for group in BOARD_GROUPS)
+        if absent:
+            return cls(
+                check_group("board", "board", plain), temperature, brake=False, passwords=passwords, complete=False
+            )
+        groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
+        values = check_group("board", "board", plain)
+        switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
+        for group, entries in groups.items():
+            checked = check_group(f"board.{group}", group, entries)
+            values |= {f"{group}.{key}": value for key, value in checked.items()}
+        return cls(values, temperature, check_switches("board.brake", switch, ["fitted"])["fitted"], passwords)
+
+    def refused(self, key: str, reason: str, *remedies: Remedy | str) -> ConfigError:
+        """Error about one entry of the group; remedies with the full names of entries."""
+        return refused(f"board.{key}", self(key), reason, *remedies)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis with the defaults merged in; values by path, such as ``axis("motor.r_s")``."""
+
+    name: str  # ``axis1`` or ``axis2``
+    groups: Mapping[str, Mapping[str, float]]  # numbers by group and key
+    features: Mapping[str, bool]  # state after reset, by name
+    stops: Stops  # stop category by command and fault
+    inherited: frozenset[str]  # entries that come from [defaults]
+    feedback: str  # source of angle and speed after reset, ``encoder`` or ``observer``
+    pins: Mapping[str, bool]  # which of `PINS` are fitted
+    exact: Mapping[str, int] = field(default_factory=dict)
+    """Raw numbers of members of the configuration block, by C path, that replace the computed ones."""
+
+    def __call__(self, path: str) -> float:
+        group, key = path.split(".")
+        return self.groups[group][key]
+
+    def given(self, path: str) -> bool:
+        """Whether an optional entry is present."""
+        group, key = path.split(".")
+        return key in self.groups[group]
+
+    def entry(self, path: str) -> str:
+        """Full name of an entry, with its group if it is in [defaults]."""
+        return _place(self.name, path, self.inherited)
+
+    def refused(self, path: str, reason: str, *remedies: Remedy | str) -> ConfigError:
+        """Error about one entry of this axis; remedies as for `named`."""
+        return refused(self.entry(path), self(path), reason, *map(self.named, remedies))
+
+    def named(self, remedy: Remedy | str) -> Remedy | str:
+        """A remedy whose entry is a path of this axis or one of ``board.``, with the full name of the entry."""
+        if isinstance(remedy, str) or remedy.entry.startswith("board."):
+            return remedy
+        group, key = remedy.entry.split(".")
+        return replace(remedy, entry=f"{self.name}.{remedy.entry}", whole=AXIS_GROUPS[group][key].whole)
+
+    @property
+    def torque_constant(self) -> float:
+        """Torque per q current at ``i_d = 0`` [N m/A]."""
+        return 1.5 * self("motor.pole_pairs") * self("motor.psi_m")
+
+    @property
+    def counts(self) -> float:
+        """Encoder counts per turn: four per line."""
+        return 4.0 * self("encoder.lines")
+
+    @classmethod
+    def of(
+        cls, table: Mapping[str, Any], name: str, feature_names: Collection[str], fault_names: Collection[str]
+    ) -> Axis:
+        """Merge and check the groups of one axis.
+
+        Raises
+        ------
+        ConfigError
+            If an entry is missing, unknown or out of range.
+        """
+        if name not in table:
+            raise ConfigError(f"[{name}.motor] is missing; every axis needs a motor")
+        groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
+        inherited: set[str] = set()
+        feedback = FEEDBACKS[0]
+        exact: dict[str, int] = {}
+        for owner in ("defaults", name):
+            for group, value in check_table(owner, table.get(owner, {})).items():
+                if group == "feedback":
+                    feedback = _feedback(f"{owner}.feedback", value)
+                    continue
+                if group == "exact":
+                    exact |= _exact(f"{owner}.exact", value)
+                    continue
+                if group not in groups:
+                    raise unknown_name(f"{owner}.{group}", group, (*groups, "feedback", "exact"))
+                entries = check_table(f"{owner}.{group}", value)
+                groups[group].update(entries)
+                paths = {f"{group}.{key}" for key in entries}
+                inherited = inherited | paths if owner == "defaults" else inherited - paths
+        features = check_switches(f"{name}.features", groups.pop("features"), feature_names)
+        origin = frozenset(inherited)
+        stops = Stops.extract(
+            groups["stop"], fault_names, lambda key: _place(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
+        )
+        switches = {key: groups["pins"].pop(key) for key in PINS if key in groups["pins"]}
+        pins = check_switches(f"{name}.pins", switches, PINS)
+        checked = {
+            group: check_group(
+                f"{name}.{group}", group, entries, {key: _place(name, f"{group}.{key}", origin) for key in entries}
+            )
+            for group, entries in groups.items()
+        }
+        return cls(name, checked, features, stops, origin, feedback, pins, exact)
+
+
+def _exact(where: str, value: object) -> dict[str, int]:
+    members = AxisConfigTable.load().members
+    found = check_table(where, value)
+    for path, raw in found.items():
+        if path not in members:
+            raise unknown_name(f"{where}.{path}", path, members)
+        if isinstance(raw, bool) or not isinstance(raw, int) or not members[path].accepts(raw):
+            low, high = members[path].minimum, members[path].maximum
+            raise refused(
+                f"{where}.{path}", repr(raw), "not accepted by a board", f"write an integer in {low} .. {high}"
+            )
+    return dict(found)
+
+
+def _feedback(where: str, value: object) -> str:
+    if not isinstance(value, str) or value not in FEEDBACKS:
+        raise refused(where, repr(value), "not a source of angle and speed", f"write one of {', '.join(FEEDBACKS)}")
+    return value
+
+
+def _place(axis: str, path: str, inherited: Collection[str]) -> str:
+    suffix = f" (in [defaults.{path.split('.')[0]}])" if path in inherited else ""
+    return f"{axis}.{path}{suffix}"
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Contents of ``servo.toml``; created by `tuning.reading`."""
+
+    board: Board
+    axes: tuple[Axis, ...]
+    scales: Scales
+    table: Mapping[str, Any] = field(default_factory=dict)  # parsed ``servo.toml``; empty: not from a file

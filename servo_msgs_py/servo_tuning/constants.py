@@ -1,0 +1,339 @@
+"""The integers of ``axis_config_t``: gains, limits and times in the formats of the firmware."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from servo_tuning.braking import pin_constants, stop_constants
+from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration
+from servo_tuning.conversion import TICKS, AxisConstants, Converter, Field, Switches, pi_raw
+from servo_tuning.errors import either, lower
+from servo_tuning.field_weakening import field_weakening_constants
+from servo_tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
+from servo_tuning.gains import Gains
+from servo_tuning.rotor_search import RotorSearch
+from servo_tuning.winding import winding_constants
+
+ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
+COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
+PATH_OMEGA: Final = Format("omega_n Ts of DRM E40", 16, 1, 2**14)
+"""At most a quarter: above it the difference equations of E40 deviate from the filter."""
+OBSERVER: Final = Format("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
+RECIPROCAL: Final = Format("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
+FLUX: Final = Format("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
+PI_SUM: Final = Format("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
+"""pi_sum_t holds +-256: the sum of these gains, each times a fraction, and the integral part."""
+SEARCH_TURN: Final = Format("an eighth of a turn", 0, 1, 2**13)
+TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
+TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
+SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
+
+SIGN_FACTOR: Final = 1.25
+"""Least current with a certain direction, over the change of the current during a dead time."""
+SIGN_USE: Final = 0.5
+"""Largest one that is chosen for a winding of low inductance, over the current limit."""
+
+_LINES: Final = "correct encoder.lines"
+_HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
+_SWING: Final = "raise rotor_search.current, or correct motor.inertia"
+_SLOWER_CURRENT: Final = lower("control.current_bandwidth")
+_SLOWER: Final = (either("control.speed_bandwidth"), "correct motor.inertia or motor.psi_m")
+
+
+def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> AxisConstants:
+    """Compute every field of one ``axis_config_t`` except those of the optional parts.
+
+    Raises
+    ------
+    ConfigError
+        If a value does not fit its format, or is rounded to 0.
+    """
+    to = Converter(axis, configuration.board, configuration.scales)
+    return {
+        **_current_loop(to, gains),
+        **_sensing(to),
+        **_motion(to, gains),
+        **_acceleration_forward(to),
+        **_limits(to),
+        **_supervision(to),
+        **_monitor_constants(to),
+        **winding_constants(to),
+        **stop_constants(to),
+        **field_weakening_constants(to),
+        **_home(to),
+        **pin_constants(to),
+    }
+
+
+def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    omega_e = axis("motor.pole_pairs") * s.speed
+    admittance = s.i / s.u_s
+    slower = _SLOWER_CURRENT, "correct motor.r_s, motor.l_d or motor.l_q"
+    drop = to.board_at(FRAC16, "switch_drop", 1.0 / s.u_dc)
+    use = to.board_at(FRAC16, "voltage_use", math.sqrt(0.75))
+    coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
+    duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period)
+    step = to.of(GAIN, "angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
+    to.of(PI_SUM, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, *slower)
+    emf = omega_e * axis("motor.psi_m") / s.u_s
+    u_q = (gains.current_q.kp + omega_e * axis("motor.l_d")) * admittance + emf
+    to.of(PI_SUM, "gains added in u_q", u_q, *slower)
+    sign = to.of(
+        INT16_Q8, "slope of sensing.sign_current", s.i / sign_current(axis, board), either("sensing.sign_current")
+    )
+    return {
+        "current_loop.d": pi_raw(axis, "current controller d", gains.current_d, admittance, *slower),
+        "current_loop.q": pi_raw(axis, "current controller q", gains.current_q, admittance, *slower),
+        "current_loop.omega_l_d": to.of(GAIN, "decoupling d", omega_e * axis("motor.l_d") * admittance, coupling),
+        "current_loop.omega_l_q": to.of(GAIN, "decoupling q", omega_e * axis("motor.l_q") * admittance, coupling),
+        "current_loop.omega_psi": to.of(GAIN, "back-EMF", emf, flux),
+        "current_loop.angle_step": step,
+        "current_loop.dead_time.duty": duty,
+        "current_loop.dead_time.v_drop": drop,
+        "current_loop.dead_time.slope": sign,
+        "current_loop.modulation_limit": use,
+    }
+
+
+def _sensing(to: Converter) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    p, counts = axis("motor.pole_pairs"), axis.counts
+    steps = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
+    # the firmware multiplies the ratio by up to half a turn of counts, in 32 bits
+    ratio = Format("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
+    per_rad = counts / (2.0 * math.pi)
+    torque = (
+        axis.torque_constant * s.i / axis("motor.inertia") * board.tick**2 * per_rad
+    )  # used with a holding brake, too
+    per_ratio = board("timer_clock") * 2.0 * math.pi / counts / s.speed
+    search, found = "rotor_search", RotorSearch.of(axis, board)
+    return {
+        "feedback": FEEDBACKS.index(axis.feedback),
+        "encoder.counts": to.at(UINT16, "encoder.lines", 4.0),
+        "encoder.pole_pairs": to.at(UINT16, "motor.pole_pairs", 1.0),
+        "encoder.angle_per_count": to.of(ANGLE32, "angle per count", 1.0 / counts, _LINES),
+        "speed_observer.speed_per_step": to.of(RECIPROCAL, "speed per step", 1.0 / steps, _LINES),
+        "speed_observer.step_per_speed": to.of(INT32_Q16, "step per speed", steps, _LINES),
+        "speed_observer.acceleration_per_current": to.of(OBSERVER, "acceleration of the observer", torque, _HOLD),
+        "mt_speed.speed_per_ratio": ratio.raw(
+            "board.timer_clock: speed per count and clock", per_ratio, either("board.timer_clock")
+        ),
+        f"{search}.current_step": FRAC32.raw(
+            axis.entry("rotor_search.ramp_time") + ": current per slow tick",
+            axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
+            axis.named(either("rotor_search.ramp_time")),
+        ),
+        f"{search}.current_slew": to.of(
+            FRAC32,
+            "change of the search current per slow tick",
+            min(_search_slew(axis, board) / s.i, 0.5),  # larger than any search needs
+            _SLOWER_CURRENT,
+        ),
+        f"{search}.current_limit": to.at(FRAC16, "rotor_search.current", 1.0 / s.i),
+        f"{search}.hold_ticks": to.of(TICKS, "slow ticks of the hold", found.hold / board.tick, _SWING),
+        f"{search}.rest_ticks": to.ticks("rotor_search.rest_time"),
+        f"{search}.move_counts": to.at(UINT16, "rotor_search.move_counts", 1.0),
+        f"{search}.verify_angle": to.at(SEARCH_TURN, "rotor_search.verify_angle", 65536.0 / 360.0),
+        f"{search}.verify_step": to.of(
+            TURN_STEP,
+            "rotation of the vector per slow tick in the verification",
+            axis("rotor_search.verify_angle") / 360.0 * board.tick / found.verify,
+            either("rotor_search.verify_time"),
+        ),
+        f"{search}.angle_per_count": to.of(INT32_Q16, "search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
+        f"{search}.interval": to.of(
+            SEARCH_ANGLE, "interval of the search", found.interval / 360.0, "fewer motor.pole_pairs"
+        ),
+        **_follow(to),
+    }
+
+
+def _search_slew(axis: Axis, board: Board) -> float:
+    """Change of the search current that takes half of the voltage, with the gain of the current controllers [A]."""
+    voltage = board("nominal_voltage") / math.sqrt(3.0) * board("voltage_use")
+    inductance = max(axis("motor.l_d"), axis("motor.l_q"))
+    return 0.5 * voltage / (2.0 * math.pi * axis("control.current_bandwidth") * inductance)
+
+
+def _follow(to: Converter) -> dict[str, Field]:
+    """Rotation of the vector that distinguishes a blocked shaft from an encoder that does not count."""
+    axis, board, s = to.axis, to.board, to.s
+    turn, time = math.radians(axis("rotor_search.turn_angle")), axis("rotor_search.turn_time")
+    inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))  # of a blocked rotor, mean over the rotation
+    inductive = turn / time * inductance * axis("rotor_search.current") / s.u_s
+    flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * turn / s.u_s / board.period
+    slower = either("rotor_search.turn_time")
+    follow = "rotor_search.follow"
+    return {
+        f"{follow}.ticks": to.of(TURN_TICKS, "slow ticks of rotor_search.turn_time", time / board.tick, slower),
+        f"{follow}.step": to.of(
+            TURN_STEP, "rotation of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
+        ),
+        f"{follow}.inductive": to.of(
+            FRAC16, "inductive voltage of the rotating vector", inductive if inductive > FRAC16.lsb else 0.0, slower
+        ),
+        f"{follow}.flux_min": to.of(FLUX, "flux of a following rotor", flux, "correct motor.psi_m"),
+    }
+
+
+def speed_observer_constants(to: Converter) -> dict[str, Field]:
+    """Gains of a fading-memory filter: the three poles of the observer error are equal.
+
+    Raises
+    ------
+    ConfigError
+        If the bandwidth is out of range, or a value does not fit its format.
+    """
+    axis, tick = to.axis, to.board.tick
+    minimum, maximum = axis("control.position_gain") / math.pi, 0.5 / tick
+    if not minimum <= axis("control.observer_bandwidth") < maximum:
+        reason = f"not within {minimum:.4g} .. {maximum:.4g} Hz (twice the position loop .. half the slow loop rate)"
+        raise axis.refused("control.observer_bandwidth", reason, either("control.observer_bandwidth"))
+    p = math.exp(-2.0 * math.pi * axis("control.observer_bandwidth") * tick)
+    slower = either("control.observer_bandwidth")
+    return {
+        "speed_observer.l_position": to.of(GAIN, "observer, position", 1.0 - p**3, slower),
+        "speed_observer.l_speed": to.of(GAIN, "observer, speed", 1.5 * (1.0 - p) ** 2 * (1.0 + p), slower),
+        "speed_observer.l_acceleration": to.of(GAIN, "observer, acceleration", (1.0 - p) ** 3, slower),
+    }
+
+
+def _motion(to: Converter, gains: Gains) -> dict[str, Field]:
+    axis, board, s, counts = to.axis, to.board, to.s, to.axis.counts
+    step = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
+    path = either("control.path_current_use"), either("limits.current"), "correct motor.inertia or motor.psi_m"
+    return {
+        "speed": pi_raw(axis, "speed controller", gains.speed, s.speed / s.i, *_SLOWER),
+        "position_gain": to.at(FRAC32, "control.position_gain", 2.0 * math.pi / counts / s.speed),
+        "path_omega_n_ts": to.of(PATH_OMEGA, "omega_n Ts of the path", gains.path_omega_n * board.tick, *path),
+        "path_step_per_speed": to.of(INT32_Q16, "path step", step, _LINES),
+        "speed_per_path_step": to.of(RECIPROCAL, "speed per path step", 1.0 / step, _LINES),
+    }
+
+
+def friction_constants(to: Converter) -> dict[str, Field]:
+    """Feed-forward of the current against friction.
+
+    Raises
+    ------
+    ConfigError
+        If a value does not fit its format.
+    """
+    axis, s = to.axis, to.s
+    k_t, smooth = axis.torque_constant, axis("friction.smooth")
+    return {
+        "friction.coulomb": to.at(FRAC32, "friction.coulomb", 1.0 / k_t / s.i),
+        "friction.viscous": to.at(GAIN, "friction.viscous", s.speed / k_t / s.i),
+        "friction.smooth": to.at(FRAC32, "friction.smooth", 1.0 / s.speed),
+        "friction.slope": INT32_Q16.raw(
+            axis.entry("friction.smooth") + ": slope", s.speed / smooth, axis.named(either("friction.smooth"))
+        ),
+    }
+
+
+def _acceleration_forward(to: Converter) -> dict[str, Field]:
+    inertia = to.axis("motor.inertia") / to.axis.torque_constant * to.s.speed / to.board.tick / to.s.i
+    return {"acceleration_forward": to.of(INT32_Q16, "current for the acceleration", inertia, _HOLD)}
+
+
+def _limits(to: Converter) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    per_rad = axis.counts / (2.0 * math.pi)
+
+    def volts(key: str) -> int:
+        return to.board_at(FRAC16, key, 1.0 / s.u_dc)
+
+    k_t = FRAC16.raw(f"{axis.name}: torque constant", axis.torque_constant / s.torque_constant, _HOLD)
+    return {
+        "torque_constant": k_t,
+        "i_q_limit": to.at(FRAC16, "limits.current", 1.0 / s.i),
+        "speed_limit": to.at(FRAC32, "limits.speed", 1.0 / s.speed),
+        "acceleration_limit": to.at(FRAC32, "limits.acceleration", board.tick / s.speed),
+        "features": Switches(key for key, on in axis.features.items() if on),
+        "position_limit": to.at(COUNTS, "limits.position", per_rad),
+        "following_error": to.at(COUNTS, "limits.following_error", per_rad),
+        "over_speed": to.at(FRAC32, "limits.over_speed", 1.0 / s.speed),
+        "u_dc_nominal": volts("nominal_voltage"),
+        "u_dc_max": volts("over_voltage"),
+        "u_dc_min": volts("under_voltage"),
+    }
+
+
+def _supervision(to: Converter) -> dict[str, Field]:
+    s = to.s
+    times = {
+        "shaft.following_ticks_max": "timing.following_max",
+        "shaft.over_speed_ticks_max": "timing.over_speed_max",
+        "settle_ticks": "timing.settle",
+        "shaft.runaway_ticks_max": "timing.runaway_max",
+        "rest_ticks_max": "timing.rest_max",
+        "shaft.stall_ticks_max": "timing.stall_max",
+        "stop_ticks_max": "timing.stop_max",
+    }
+    return {
+        "offset_tolerance": to.at(UINT16, "sensing.offset_tolerance", 1.0),
+        "offset_duty_min": to.at(FRAC16, "sensing.offset_duty", 1.0),
+        "shaft.runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
+        "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
+        "search_ticks_max": to.of(
+            TICKS, "slow ticks of the search", RotorSearch.of(to.axis, to.board).time_max / to.board.tick, _SWING
+        ),
+        **{field: to.ticks(path) for field, path in times.items()},
+    }
+
+
+def _home(to: Converter) -> dict[str, Field]:
+    per_rad = to.axis.counts / (2.0 * math.pi)
+    counts = {"home.back_off": "home.back_off", "home.spread_max": "home.spread", "home.reach": "home.reach"}
+    return {
+        "home.speed": to.at(FRAC16, "home.speed", 1.0 / to.s.speed),
+        "home.current": to.at(FRAC16, "home.current", 1.0 / to.s.i),
+        "home.turns_max": to.at(UINT16, "home.turns_max", 1.0),
+        **{field: to.at(UINT16, path, per_rad) for field, path in counts.items()},
+    }
+
+
+def dead_time_current(axis: Axis, board: Board) -> float:
+    """Change of the current during a dead time, in which only the bus voltage drives it [A]."""
+    return board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
+
+
+def sign_current(axis: Axis, board: Board) -> float:
+    """Phase current above which its direction is certain: the entry, or more for a winding of low inductance [A]."""
+    least = min(SIGN_FACTOR * dead_time_current(axis, board), SIGN_USE * axis("limits.current"))
+    return max(axis("sensing.sign_current"), least)
+
+
+def _monitor_constants(to: Converter) -> dict[str, Field]:
+    """Thresholds of the monitors of phases, current sensing, encoder and heat sink."""
+    axis, board, s = to.axis, to.board, to.s
+    sign = sign_current(axis, board) / s.i
+    dead = 0.5 * board("dead_time") / board.period * board("nominal_voltage")
+    floor = max(board("switch_drop") + dead, 0.5) / s.u_s
+    turn = s.u_s / axis("motor.psi_m") * board.tick / (2.0 * math.pi)
+    hot, cool = board.temperature.codes()
+    inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
+    return {
+        "winding.current_min": to.of(
+            FRAC16, "current of a silent phase, twice sensing.sign_current", 2.0 * sign, either("sensing.sign_current")
+        ),
+        "winding.direction_current_min": to.of(
+            FRAC16, "smallest current with a direction", sign, either("sensing.sign_current")
+        ),
+        "winding.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
+        "winding.inductance": to.of(GAIN, "inductive voltage", inductance, "correct motor.l_q"),
+        "winding.rotation_per_voltage": to.of(INT32_Q16, "rotation per back-EMF", turn, "correct motor.psi_m"),
+        "winding.emf_floor": to.of(FRAC16, "unexplained voltage", floor, lower("board.switch_drop")),
+        "heat.hot": hot,
+        "heat.cool": cool,
+    }
+
+
+def time_outs(board: Board) -> dict[str, int]:
+    """Defaults of the writable timeouts [slow ticks]."""
+    return {
+        name: UINT16.raw(f"board.{name}", board(name) / board.tick, either(f"board.{name}"), given=board(name))
+        for name in ("host_timeout", "command_timeout")
+    }

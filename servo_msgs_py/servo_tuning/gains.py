@@ -1,0 +1,67 @@
+"""Gains from motor data and bandwidths, in SI units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from servo_tuning.configuration import Axis, Board
+
+
+@dataclass(frozen=True)
+class Pi:
+    """A PI controller in discrete time: ``u_i += ki e + kc excess``, ``u = kp e + u_i`` (DRM E34..E37)."""
+
+    kp: float  # proportional gain [output per input]
+    ki: float  # Kp Ki Ts of E36 [output per input and sample]
+    kc: float  # anti-windup, 0 .. 1
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of one axis."""
+
+    current_d: Pi  # ampere to volt, per fast loop
+    current_q: Pi  # ampere to volt, per fast loop
+    speed: Pi  # rad/s to ampere, per slow loop
+    position: float  # K_v, rad to rad/s [1/s]
+    path_omega_n: float  # of E40 [rad/s]
+
+    def named(self) -> Iterator[tuple[str, str, float]]:
+        """Name, unit and value of each gain."""
+        for name, pi in (("current d", self.current_d), ("current q", self.current_q)):
+            yield f"{name} Kp", "V/A", pi.kp
+            yield f"{name} Kp Ki Ts", "V/A", pi.ki
+        yield "speed Kp", "A s/rad", self.speed.kp
+        yield "speed Kp Ki Ts", "A s/rad", self.speed.ki
+        yield "anti-windup Kc", "", self.speed.kc
+        yield "position K_v", "1/s", self.position
+        yield "path omega_n", "rad/s", self.path_omega_n
+
+    @classmethod
+    def of(cls, axis: Axis, board: Board) -> Gains:
+        acceleration = (
+            axis.torque_constant * axis("limits.current") * axis("control.path_current_use") / axis("motor.inertia")
+        )
+        return cls(
+            current_d=_current(axis, axis("motor.l_d"), board),
+            current_q=_current(axis, axis("motor.l_q"), board),
+            speed=speed_pi(axis, board, axis("control.speed_bandwidth")),
+            position=axis("control.position_gain"),
+            # E40: a speed step v needs an acceleration of at most v omega_n / e
+            path_omega_n=math.e * acceleration / axis("limits.speed"),
+        )
+
+
+def _current(axis: Axis, inductance: float, board: Board) -> Pi:
+    """Pole-zero cancellation; the open loop is omega / s."""
+    omega = 2.0 * math.pi * axis("control.current_bandwidth")
+    return Pi(omega * inductance, omega * axis("motor.r_s") * board.period, axis("control.anti_windup"))
+
+
+def speed_pi(axis: Axis, board: Board, bandwidth: float) -> Pi:
+    """Gains for a crossover at the bandwidth [Hz]; the integral part acts below bandwidth / speed_ratio."""
+    omega = 2.0 * math.pi * bandwidth
+    kp = omega * axis("motor.inertia") / axis.torque_constant
+    return Pi(kp, kp * omega / axis("control.speed_ratio") * board.tick, axis("control.anti_windup"))

@@ -1,0 +1,181 @@
+"""Models of the control loops: sampled, with delays, with the integer gains of the firmware.
+
+Fast loop, between two samples of the currents (DRM F34): the duties computed from a sample are loaded half a period
+later and held for one period. Slow loop: the fast loop uses its set-point half a period later, for eight periods; the
+speed comes from one of the `sensors`.
+
+Currents and speeds are small signals: no limit is active, the direction of motion does not change, i_d is 0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_tuning.configuration import Axis, Board
+from servo_tuning.gains import Gains, Pi
+from servo_tuning.linear import Margins, Matrix, Omega, System, held, margins
+from servo_tuning.sensors import EdgeDelay, SpeedSensor
+
+
+@dataclass(frozen=True)
+class CurrentLoop:
+    """One current controller and the winding at standstill."""
+
+    resistance: float  # of the winding [ohm]
+    inductance: float  # of the winding [H]
+    gains: Pi  # of the controller
+    period: float  # of the fast loop [s]
+
+    @property
+    def open(self) -> System:
+        """Open loop from error to current, both at the sampling instants. States: current, voltage, integral."""
+        a, b = np.array([[-self.resistance / self.inductance]]), np.array([[1.0 / self.inductance]])
+        f, g = (float(m[0, 0]) for m in held(a, b, 0.5 * self.period))
+
+        def step(x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
+            current, voltage, integral = x
+            error = u[0]
+            integral = integral + self.gains.ki * error
+            loaded = self.gains.kp * error + integral
+            after = f * (f * current + g * voltage) + g * loaded
+            return np.vstack([after, loaded, integral]), current[None, :]
+
+        return System.of(step, 3, 1, self.period)
+
+    @property
+    def closed(self) -> System:
+        """Closed loop from the set-point to the current."""
+        return self.open.fed_back(0, 0)
+
+    def margins(self) -> Margins:
+        loop = self.open
+        return margins(loop.response, loop.nyquist)
+
+
+class In(IntEnum):
+    """Inputs of the speed and position loops."""
+
+    CURRENT = 0
+    """Current set-point [A]: open loop, the one of the motor; closed loop, an added disturbance."""
+    SET_POINT = 1
+    """Speed [rad/s] or angle [rad] set-point."""
+    LOAD = 2
+    """Load torque against the motion [N m]."""
+
+
+class Out(IntEnum):
+    """Outputs of the loops, at the slow ticks."""
+
+    CURRENT = 0
+    """Output of the speed controller [A]."""
+    PROPORTIONAL = 1
+    """Proportional part of that output [A]."""
+    MEASURED = 2
+    """Measured speed [rad/s]."""
+    SPEED = 3
+    """True speed of the shaft [rad/s]."""
+    ANGLE = 4
+    """Angle of the shaft [rad]."""
+
+
+@dataclass(frozen=True)
+class ShaftLoops:
+    """Speed and position loop around the q current loop of one axis."""
+
+    axis: Axis  # of the configuration
+    board: Board  # of the configuration
+    gains: Gains  # after rounding to integers
+    back_emf: float  # gain of the back-EMF decoupling [V s/rad]
+    inertia: float  # of the shaft [kg m^2]; may differ from the nominal inertia
+    sensor: SpeedSensor  # source of the speed
+
+    def _motor(self) -> tuple[Matrix, Matrix]:
+        """Motor over half a PWM period: states current, speed, angle; inputs voltage, load torque."""
+        r, l_q = self.axis("motor.r_s"), self.axis("motor.l_q")
+        k_t, psi = self.axis.torque_constant, self.axis("motor.pole_pairs") * self.axis("motor.psi_m")
+        a = np.array(
+            [
+                [-r / l_q, -psi / l_q, 0.0],
+                [k_t / self.inertia, -self.axis("friction.viscous") / self.inertia, 0.0],
+                [0.0, 1.0, 0.0],
+            ]
+        )
+        b = np.array([[1.0 / l_q, 0.0], [0.0, -1.0 / self.inertia], [0.0, 0.0]])
+        return held(a, b, 0.5 * self.board.period)
+
+    @cached_property
+    def open(self) -> System:
+        """Speed loop, opened between the output of the speed controller and the current set-point.
+
+        Inputs: `In`. Outputs: `Out`. States: angle, speed, current, voltage, integrals of current and speed controller,
+        movement and current set-point of the last slow period, states of the sensor.
+        """
+        f, g = self._motor()
+        tick, pi, gains = self.board.tick, self.gains.current_q, self.gains.speed
+        periods = round(tick / self.board.period)
+
+        def step(x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
+            angle, speed, current, voltage, integral, speed_integral, moved, reference = x[:8]
+            injected, set_point, load = u
+            measured, sensor = self.sensor.step(x[8:], moved, reference, tick)
+            # The integral part uses the counted movement, not the measured speed.
+            speed_integral = speed_integral + gains.ki * (set_point - moved / tick)
+            proportional = gains.kp * (set_point - measured)
+            outputs = np.vstack([proportional + speed_integral, proportional, measured, speed, angle])
+            motor = np.vstack([current, speed, np.zeros_like(angle)])
+            for _ in range(periods):
+                inputs = np.vstack([voltage, load])
+                motor = f @ motor + g @ inputs
+                current_error = injected - motor[0]
+                integral = integral + pi.ki * current_error
+                loaded = pi.kp * current_error + integral + self.back_emf * measured
+                motor = f @ motor + g @ inputs
+                voltage = loaded
+            current, speed, movement = motor
+            states = (angle + movement, speed, current, voltage, integral, speed_integral, movement, injected)
+            return np.vstack([*states, *sensor]), outputs
+
+        return System.of(step, 8 + self.sensor.states, len(In), tick)
+
+    @cached_property
+    def speed(self) -> System:
+        """Closed speed loop; the set-point is a speed [rad/s]."""
+        return self.open.fed_back(Out.CURRENT, In.CURRENT, -1.0)
+
+    @cached_property
+    def position(self) -> System:
+        """Closed position loop; the set-point is an angle [rad]."""
+        return self.speed.scaled(In.SET_POINT, self.gains.position).fed_back(Out.ANGLE, In.SET_POINT)
+
+    @property
+    def speed_alone(self) -> Matrix:
+        """State matrix of the closed speed loop without the angle, which is not controlled there."""
+        return self.speed.a[1:, 1:]
+
+    def speed_open(self, omega: Omega, delay: EdgeDelay | None = None) -> NDArray[np.complex128]:
+        """Open-loop frequency response at `omega` [rad/s]; `delay` replaces the M/T delay with frequent edges."""
+        loop = self.open
+        whole = -loop.channel(Out.CURRENT, In.CURRENT).response(omega)
+        if delay is None:
+            return whole
+        frequent = EdgeDelay(loop.dt, 1.5 * loop.dt)
+        part = -loop.channel(Out.PROPORTIONAL, In.CURRENT).response(omega)
+        return whole + part * (delay.response(omega) / frequent.response(omega) - 1.0)
+
+    def position_open(self, omega: Omega) -> NDArray[np.complex128]:
+        """Open-loop frequency response of the position loop at `omega` [rad/s], with the speed loop closed."""
+        return self.gains.position * self.speed.channel(Out.ANGLE, In.SET_POINT).response(omega)
+
+    def speed_margins(self, delay: EdgeDelay | None = None) -> Margins:
+        """Margins of the speed loop; `delay` as in `speed_open`."""
+        return margins(lambda omega: self.speed_open(omega, delay), math.pi / self.board.tick)
+
+    def position_margins(self) -> Margins:
+        """Margins of the position loop."""
+        return margins(self.position_open, math.pi / self.board.tick)

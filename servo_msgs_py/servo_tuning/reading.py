@@ -1,0 +1,68 @@
+"""Read ``servo.toml``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue
+from servo_msgs_py.text_file import TextFileError, parse_toml, read_text
+
+from servo_tuning.checks import check
+from servo_tuning.configuration import Axis, Board, Configuration, Scales
+from servo_tuning.errors import ConfigError, remedies_tried
+from servo_tuning.schema import unknown_name
+
+
+def load(path: Path, catalogue: Catalogue) -> Configuration:
+    """Read and check a file.
+
+    Raises
+    ------
+    ConfigError
+        If it is not valid TOML or the configuration cannot work.
+    OSError
+        If it cannot be read.
+    """
+    try:
+        text = read_text(path)
+    except TextFileError as error:
+        raise ConfigError(str(error)) from None
+    return loads(text, catalogue)
+
+
+def loads(text: str, catalogue: Catalogue) -> Configuration:
+    """Read and check the text of a file.
+
+    Raises
+    ------
+    ConfigError
+        If it is not valid TOML or the configuration cannot work.
+    """
+    try:
+        table = parse_toml(text)
+    except TextFileError as error:
+        raise ConfigError(str(error)) from None
+    return parse(table, catalogue)
+
+
+def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
+    """Check a parsed table.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration cannot work.
+    """
+    known = ("board", "defaults", *AXIS_NAMES)
+    for name in table:
+        if name not in known:
+            raise unknown_name(f"[{name}]", name, known)
+    feature_names = [flag.name.lower() for flag in catalogue.flags["features"]]
+    fault_names = [flag.name.lower() for flag in catalogue.flags["faults"]]
+    with remedies_tried(table):
+        axes = tuple(Axis.of(table, name, feature_names, fault_names) for name in AXIS_NAMES)
+        configuration = Configuration(Board.of(table.get("board", {})), axes, Scales.of(catalogue), table)
+        check(configuration, catalogue)
+    return configuration

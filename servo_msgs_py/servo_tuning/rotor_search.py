@@ -1,0 +1,90 @@
+"""Rotor search: consistency of its entries; resolution and times, which depend on pole pairs and inertia."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+from servo_tuning.configuration import Axis, Board
+from servo_tuning.errors import higher, lower
+
+HOLD_SWINGS: Final = 1.0
+"""Least duration of the hold, in periods of the swing: a swing with friction has passed its first turning points."""
+
+VERIFY_SWINGS: Final = 4.0
+"""Least duration of the rotation of the verification, in periods: the lag of the shaft behind it remains small."""
+
+
+SALIENT_USE: Final = 0.5
+"""Largest current of the search, relative to the one at which a salient rotor leaves the vector."""
+
+
+@dataclass(frozen=True)
+class RotorSearch:
+    """Resolution and times that the search uses: the entries, or more where encoder or shaft require it."""
+
+    interval: float  # remaining interval at which the search ends, at least a count [deg electrical]
+    swing: float  # period of the rotor's oscillation about the vector at the full current of the search [s]
+    hold: float  # time at full current without a count [s]
+    verify: float  # duration of the rotation of the vector in the verification [s]
+    longest: float  # duration of a successful search, at most [s]
+    time_max: float  # after which the shaft is assumed to be driven by its load [s]
+
+    @property
+    def halvings(self) -> int:
+        """Vectors of the bisection."""
+        return math.ceil(math.log2(360.0 / self.interval))
+
+    @classmethod
+    def of(cls, axis: Axis, board: Board) -> RotorSearch:
+        """Values for the nominal inertia."""
+        stiffness = axis("motor.pole_pairs") * axis.torque_constant * axis("rotor_search.current")  # [N m/rad]
+        swing = 2.0 * math.pi * math.sqrt(axis("motor.inertia") / stiffness)
+        slowest = axis("rotor_search.verify_angle") / 360.0 * 65536.0 * board.tick  # one step of the vector per tick
+        hold = max(axis("rotor_search.hold_time"), HOLD_SWINGS * swing)
+        verify = max(axis("rotor_search.verify_time"), min(VERIFY_SWINGS * swing, slowest))
+        bare = cls(max(axis("rotor_search.interval"), count_angle(axis)), swing, hold, verify, 0.0, 0.0)
+        each = axis("rotor_search.ramp_time") + hold + axis("rotor_search.rest_time")
+        longest = bare.halvings * each + 4.0 * verify  # rotations to one side, to the other side, and back
+        return replace(bare, longest=longest, time_max=max(axis("rotor_search.time_max"), longest))
+
+
+def count_angle(axis: Axis) -> float:
+    """Electrical angle of a count [deg]."""
+    return 360.0 * axis("motor.pole_pairs") / axis.counts
+
+
+def check_rotor_search(axis: Axis, board: Board) -> None:
+    """Check current, resolution and duration.
+
+    Raises
+    ------
+    ConfigError
+        If a check fails.
+    """
+    maximum = axis("limits.current")
+    if axis("rotor_search.current") > maximum:
+        reason = f"above the current limit of {maximum:g} A (limits.current)"
+        raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"))
+    saliency = axis("motor.l_q") - axis("motor.l_d")
+    if axis("rotor_search.current") * saliency > SALIENT_USE * axis("motor.psi_m"):
+        largest = SALIENT_USE * axis("motor.psi_m") / saliency
+        reason = f"above {largest:.3g} A the reluctance of this rotor turns it off the current vector"
+        raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"))
+    if axis("rotor_search.interval") >= 60.0:
+        raise axis.refused("rotor_search.interval", "the torque is uncertain", lower("rotor_search.interval"))
+    if axis("rotor_search.move_counts") < 3.0:
+        reason = "below 3: dither at an encoder edge gives up to 2 counts without rotation"
+        raise axis.refused("rotor_search.move_counts", reason, higher("rotor_search.move_counts"))
+    if axis("rotor_search.move_counts") * count_angle(axis) >= 0.5 * axis("rotor_search.verify_angle"):
+        reason = "not below half of rotor_search.verify_angle: the rest is for friction"
+        changes = lower("rotor_search.move_counts"), higher("rotor_search.verify_angle")
+        raise axis.refused("rotor_search.move_counts", reason, *changes)
+    halvings = RotorSearch.of(axis, board).halvings
+    longest = halvings * sum(axis(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest"))
+    longest += 4.0 * axis("rotor_search.verify_time")
+    if axis("rotor_search.time_max") < longest:
+        reason = f"{halvings} vectors and the verification take up to {longest:.3g} s"
+        shorter = (lower(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest", "verify"))
+        raise axis.refused("rotor_search.time_max", reason, higher("rotor_search.time_max"), *shorter)

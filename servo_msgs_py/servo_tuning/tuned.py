@@ -1,0 +1,280 @@
+"""Gains of one axis, as designed and as used after rounding; unstable loops are refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from servo_tuning.block import block_of, constants_of
+from servo_tuning.configuration import Axis, Board, Configuration, Scales
+from servo_tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
+from servo_tuning.conversion import AxisConstants, Converter, PiRaw
+from servo_tuning.errors import ConfigError, lower, remedies_tried
+from servo_tuning.formats import FRAC32, GAIN
+from servo_tuning.gains import Gains, Pi
+from servo_tuning.linear import spectral_radius
+from servo_tuning.loops import CurrentLoop, ShaftLoops
+from servo_tuning.optional import PARTS, SENSORLESS, SPEED_OBSERVER
+from servo_tuning.sensorless import Sensorless
+from servo_tuning.sensorless_constants import used_observer, used_pll
+from servo_tuning.sensors import MtSpeed, Observer, PllSpeed
+
+
+class GainRow(NamedTuple):
+    """One gain: as designed, as the firmware uses it, and its integer."""
+
+    name: str
+    unit: str
+    designed: float  # in `unit`
+    used: float  # after rounding to an integer, in `unit`
+    raw: int  # integer of the firmware
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """One axis with its gains and integers."""
+
+    axis: Axis  # of the configuration
+    board: Board  # of the configuration
+    designed: Gains  # before rounding to integers
+    used: Gains  # after rounding to integers
+    constants: AxisConstants  # the integers
+    back_emf: float  # gain of the back-EMF decoupling after rounding [V s/rad]
+    observer: Observer  # the speed observer after rounding
+    used_sensorless: Sensorless | None  # observer of the back-EMF, PLL and start-up after rounding; None: unusable
+    designed_sensorless: Sensorless | None  # the same before rounding
+    unusable: Mapping[str, ConfigError]  # parts of `PARTS` that the axis does not use and that cannot work: reason
+
+    @property
+    def sensorless(self) -> Sensorless:
+        """Observer of the back-EMF, PLL and start-up after rounding; only if the part is usable."""
+        assert self.used_sensorless is not None
+        return self.used_sensorless
+
+    @property
+    def block(self) -> dict[str, int]:
+        """The configuration block of a board, raw numbers by member."""
+        return block_of(self.constants, self.axis.name)
+
+    def rows(self) -> Iterator[GainRow]:
+        """All gains."""
+        d, q, speed = (self.constants[field] for field in ("current_loop.d", "current_loop.q", "speed"))
+        assert isinstance(d, PiRaw)
+        assert isinstance(q, PiRaw)
+        assert isinstance(speed, PiRaw)
+        plain = [self.constants[field] for field in ("position_gain", "path_omega_n_ts")]
+        raw = [*d[:2], *q[:2], *speed, *(value for value in plain if isinstance(value, int))]
+        for (name, unit, designed), (_, _, used), integer in zip(
+            self.designed.named(), self.used.named(), raw, strict=True
+        ):
+            yield GainRow(name, unit, designed, used, integer)
+        if self.designed_sensorless is not None:
+            yield from self._sensorless_rows(self.designed_sensorless)
+
+    def _sensorless_rows(self, designed: Sensorless) -> Iterator[GainRow]:
+        period, used = self.board.period, self.sensorless
+        k1, k2, speed = (self.constants[field] for field in ("observer.k1", "observer.k2", "observed_speed"))
+        kp, ki = self.constants["pll.kp"], self.constants["pll.ki"]
+        assert isinstance(k1, int)
+        assert isinstance(k2, int)
+        assert isinstance(kp, int)
+        assert isinstance(ki, int)
+        assert isinstance(speed, PiRaw)
+        top = self.axis("motor.pole_pairs") * self.axis("limits.speed")
+        gains = [2.0 * design.pll.damping * design.pll.omega_n(top) for design in (designed, used)]
+        squares = [design.pll.rate * top for design in (designed, used)]
+        yield GainRow("observer K1", "1/s", designed.observer.k1 / period, used.observer.k1 / period, k1)
+        yield GainRow("observer K2", "V/(A s)", designed.observer.k2 / period, used.observer.k2 / period, k2)
+        yield GainRow("PLL Kp at the speed limit", "1/s", gains[0], gains[1], kp)
+        yield GainRow("PLL Ki at the speed limit", "1/s^2", squares[0], squares[1], ki)
+        yield GainRow("sensorless speed Kp", "A s/rad", designed.speed.kp, used.speed.kp, speed.kp)
+        yield GainRow("sensorless speed Kp Ki Ts", "A s/rad", designed.speed.ki, used.speed.ki, speed.ki)
+
+    def current_loop(self, which: str) -> CurrentLoop:
+        """Current loop of the ``d`` or ``q`` axis."""
+        gains = self.used.current_d if which == "d" else self.used.current_q
+        return CurrentLoop(self.axis("motor.r_s"), self.axis(f"motor.l_{which}"), gains, self.board.period)
+
+    @property
+    def observed(self) -> bool:
+        """Whether the speed observer is on after reset."""
+        return self.axis.features["speed_observer"]
+
+    def shaft(self, inertia: float = 1.0, observed: bool | None = None) -> ShaftLoops:
+        """Models of speed and position loop.
+
+        Parameters
+        ----------
+        inertia : float
+            Inertia of the shaft, over the nominal value.
+        observed : bool
+            True: with the speed observer; False: with the M/T method; None: as after reset.
+        """
+        sensor = self.observer if (self.observed if observed is None else observed) else MtSpeed()
+        whole = inertia * self.axis("motor.inertia")
+        return ShaftLoops(self.axis, self.board, self.used, self.back_emf, whole, sensor)
+
+    def sensorless_shaft(self, speed: float, inertia: float = 1.0) -> ShaftLoops:
+        """Sensorless speed loop at a mechanical speed [rad/s]; `inertia` as in `shaft`."""
+        pll = self.sensorless.pll
+        omega_n = pll.omega_n(self.axis("motor.pole_pairs") * speed)
+        sensor = PllSpeed(omega_n, pll.damping, pll.acceleration, pll.load, *pll.size_gains(self.board.tick))
+        gains = replace(self.used, speed=self.sensorless.speed)
+        return ShaftLoops(self.axis, self.board, gains, self.back_emf, inertia * self.axis("motor.inertia"), sensor)
+
+
+def tuned(axis: Axis, configuration: Configuration) -> Tuned:
+    """Compute gains and integers of one axis.
+
+    Raises
+    ------
+    ConfigError
+        If a number does not fit its format, or a loop is unstable.
+    """
+    with remedies_tried(configuration.table):
+        result = _tuned(axis, configuration, {})
+        _refuse_unstable(result)
+        unstable = {
+            name: reason
+            for name, part in PARTS.items()
+            if name not in result.unusable and (reason := _instability(result, name)) is not None
+        }
+        for name, reason in unstable.items():
+            if PARTS[name].used(axis):
+                raise reason
+        return _tuned(axis, configuration, unstable) if unstable else result
+
+
+def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, ConfigError]) -> Tuned:
+    """Compute gains and integers of one axis without the optional parts that are unstable."""
+    designed, constants, unusable = integers(axis, configuration, unstable)
+    sensorless = None if SENSORLESS in unusable else Sensorless.of(axis, configuration.board)
+    block = {**block_of(constants, axis.name), **axis.exact}
+    constants = constants_of(block, constants)
+    used = _Used(constants, configuration.scales)
+    return Tuned(
+        axis=axis,
+        board=configuration.board,
+        designed=designed,
+        used=used.gains(axis, configuration.board),
+        constants=constants,
+        back_emf=GAIN.value(used.integer("current_loop.omega_psi")) * used.scales.u_s / used.scales.speed,
+        observer=used.observer(axis, configuration.board),
+        used_sensorless=used.sensorless(axis, configuration.board, sensorless) if sensorless else None,
+        designed_sensorless=sensorless,
+        unusable=unusable,
+    )
+
+
+def integers(
+    axis: Axis, configuration: Configuration, off: Mapping[str, ConfigError]
+) -> tuple[Gains, AxisConstants, Mapping[str, ConfigError]]:
+    """Return designed gains, integers, and the reasons of the unused parts of `PARTS` that cannot work.
+
+    Parameters
+    ----------
+    off : mapping
+        Parts to be switched off, with the reasons.
+
+    Raises
+    ------
+    ConfigError
+        If a number does not fit its format, or a part that the axis uses cannot work.
+    """
+    designed = Gains.of(axis, configuration.board)
+    constants = dict(axis_constants(axis, designed, configuration))
+    unusable = dict(off)
+    to = Converter(axis, configuration.board, configuration.scales)
+    for name, part in PARTS.items():
+        if name not in unusable:
+            try:
+                constants |= part.fields(to)
+                continue
+            except ConfigError as reason:
+                if part.used(axis):
+                    raise
+                unusable[name] = reason
+        constants |= part.off
+    return designed, constants, unusable
+
+
+@dataclass(frozen=True)
+class _Used:
+    """Conversion of the integers to SI units."""
+
+    constants: AxisConstants
+    scales: Scales
+
+    def integer(self, field: str) -> int:
+        raw = self.constants[field]
+        assert isinstance(raw, int), field
+        return raw
+
+    def pi(self, field: str, scale: float) -> Pi:
+        raw = self.constants[field]
+        assert isinstance(raw, PiRaw), field
+        return Pi(GAIN.value(raw.kp) * scale, GAIN.value(raw.ki) * scale, GAIN.value(raw.kc))
+
+    def gains(self, axis: Axis, board: Board) -> Gains:
+        s = self.scales
+        per_count = FRAC32.value(self.integer("position_gain")) * s.speed
+        return Gains(
+            current_d=self.pi("current_loop.d", s.u_s / s.i),
+            current_q=self.pi("current_loop.q", s.u_s / s.i),
+            speed=self.pi("speed", s.i / s.speed),
+            position=per_count * axis.counts / (2.0 * math.pi),
+            path_omega_n=PATH_OMEGA.value(self.integer("path_omega_n_ts")) / board.tick,
+        )
+
+    def observer(self, axis: Axis, board: Board) -> Observer:
+        position, speed, acceleration = (
+            GAIN.value(self.integer(f"speed_observer.l_{of}")) for of in ("position", "speed", "acceleration")
+        )
+        per_amp = OBSERVER.value(self.integer("speed_observer.acceleration_per_current")) / self.scales.i
+        torque = per_amp / board.tick**2 * 2.0 * math.pi / axis.counts
+        return Observer(torque, position, speed, acceleration)
+
+    def sensorless(self, axis: Axis, board: Board, design: Sensorless) -> Sensorless:
+        return Sensorless(
+            observer=used_observer(self.constants, design.observer, self.scales),
+            pll=used_pll(self.constants, axis, board, self.scales),
+            start_up=design.start_up,
+            speed=self.pi("observed_speed", self.scales.i / self.scales.speed),
+        )
+
+
+def _refuse_unstable(design: Tuned) -> None:
+    current = max(spectral_radius(design.current_loop(which).closed.a) for which in "dq")
+    _refuse_radius(design, "control.current_bandwidth", current, "the sampled loop")
+    _refuse_unstable_shaft(design, observed=False)
+
+
+def _instability(design: Tuned, part: str) -> ConfigError | None:
+    """Reason if a loop with an optional part is unstable."""
+    try:
+        if part == SPEED_OBSERVER:
+            _refuse_unstable_shaft(design, observed=True)
+        if part == SENSORLESS:
+            for turning in (design.sensorless.start_up.minimum_speed, design.axis("limits.speed")):
+                radius = spectral_radius(design.sensorless_shaft(turning).speed_alone)
+                how = f"at {turning:.3g} rad/s the sensorless speed loop"
+                _refuse_radius(design, "observer.speed_part", radius, how)
+    except ConfigError as reason:
+        return reason
+    return None
+
+
+def _refuse_unstable_shaft(design: Tuned, *, observed: bool) -> None:
+    how = "with the speed observer the sampled loop" if observed else "the sampled loop"
+    shaft = design.shaft(observed=observed)
+    speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
+    _refuse_radius(design, speed, spectral_radius(shaft.speed_alone), how)
+    _refuse_radius(design, "control.position_gain", spectral_radius(shaft.position.a), how)
+
+
+def _refuse_radius(design: Tuned, path: str, radius: float, how: str) -> None:
+    if radius >= 1.0:
+        reason = f"{how} is unstable, its largest pole has the magnitude {radius:.3f}"
+        raise design.axis.refused(path, reason, lower(path), "correct the motor data")

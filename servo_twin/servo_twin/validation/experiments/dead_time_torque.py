@@ -1,0 +1,82 @@
+"""Torque error by dead time and switch drops near zero current, and the resulting shaft displacement.
+
+The averaged plant models the error as proportional to the current near zero. On the switching plant a phase current
+stays at zero until the controller has compensated the error; about 60 mA are lost, more than the friction current of
+40 mA. Experiments about feed-forward subtract this displacement, because it is an error of the inverter.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.plant_limits import nominal_tuning
+from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace
+
+
+def displacement(
+    recording: AxisTrace, plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
+) -> NDArray[np.float64]:
+    """Shaft displacement caused by the difference between true current and set-point [counts].
+
+    Parameters
+    ----------
+    recording : AxisTrace
+        Recording of the axis, with the true current.
+    plant : PlantConfig
+        Plant data.
+    axis : int
+        Index.
+    position : bool
+        Position control; false: speed control.
+    heavier : float
+        Inertia relative to the tuning; the bandwidth is lower by this factor.
+    """
+    torque_error = plant.axes[axis].torque_constant * (recording.i_q_true - recording.i_q_ref)
+    return response(torque_error, plant, axis, position=position, heavier=heavier)
+
+
+def response(
+    torques: NDArray[np.float64], plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
+) -> NDArray[np.float64]:
+    """Response of the shaft to torques, with linear control loops and the nominal bandwidths [counts].
+
+    Parameters
+    ----------
+    torques : ndarray
+        One per slow tick [N m].
+    plant, axis, position, heavier
+        See `displacement`.
+    """
+    tuning, inertia = nominal_tuning(axis).axis, plant.axes[axis].inertia
+    speed_loop = 2.0 * math.pi * tuning("control.speed_bandwidth")
+    corner = speed_loop / tuning("control.speed_ratio")
+    bandwidth = speed_loop / heavier
+    gain = tuning("control.position_gain") if position else 0.0
+    speed = position_error = integral = 0.0
+    displacements: list[float] = []
+    for torque in torques:
+        error = speed + gain * position_error
+        integral += TICK * error
+        speed += TICK * (float(torque) / inertia - bandwidth * (error + corner * integral))
+        position_error += TICK * speed
+        displacements.append(position_error)
+    return np.asarray(displacements) / COUNT
+
+
+def displacement_counts(
+    recording: AxisTrace, plant: PlantConfig, axis: int, after: float, heavier: float = 1.0
+) -> float:
+    """Largest displacement under position control after `after` [s], rounded to counts."""
+    position_error = displacement(recording, plant, axis, position=True, heavier=heavier)
+    return float(round(np.abs(position_error[recording.time > after]).max(initial=0.0)))
+
+
+def displacement_at(recording: AxisTrace, plant: PlantConfig, axis: int, target: float, within: float) -> float:
+    """Largest displacement after the set-point is within `within` counts of a target [counts]."""
+    near = np.abs(recording.position_ref - target) <= within
+    after = float(recording.time[int(np.argmax(near))])
+    return displacement_counts(recording, plant, axis, after) if near.any() else 0.0

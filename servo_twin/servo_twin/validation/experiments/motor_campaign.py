@@ -1,0 +1,385 @@
+"""Random motors: a data-sheet configuration is refused with remedies that work, or the drive enables and moves."""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import copy
+import dataclasses
+import functools
+import math
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, AXIS_NAMES, Catalogue
+from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_tuning.acceptance import refusal_of
+from servo_tuning.assessment import assess
+from servo_tuning.configuration import Configuration
+from servo_tuning.errors import ConfigError, Remedy, value_in, with_value
+from servo_tuning.findings import Finding, findings
+from servo_tuning.gains import Gains
+from servo_tuning.reading import parse
+from servo_tuning.rotor_search import RotorSearch
+from servo_tuning.tuned import tuned
+
+from servo_msgs_py import argument
+from servo_twin.board import Board, Firmware
+from servo_twin.firmware_build import as_toml, build_firmware, servo_table
+from servo_twin.level import Level
+from servo_twin.lockstep.blocks import blocks_of_configuration, write_blocks
+from servo_twin.lockstep.replica import Replica
+from servo_twin.plant import PlantConfig
+from servo_twin.runner import HERE, Runner, run_in_order
+from servo_twin.simulation import SimulationError, enable, move
+from servo_twin.validation.experiments.outcome import BEYOND, Bound, Outcome, Row
+from servo_twin.validation.experiments.rig import at_level, fresh_board, level
+
+NAME: Final = "motor-campaign"
+HELP: Final = """\
+Beyond the reference design. Random motors, both axes with the same one: data of a data sheet are written to servo.toml,
+everything else keeps its default. A refusal is corrected with the value of its remedy, and what a
+warning wants lower is lowered in steps of a fifth. Then a board with this
+configuration and this motor enables and moves by 20 rad. Criteria: every refused configuration has a remedy that is
+accepted, or contradicts a limit of the board; every accepted one drives: no fault, arrival, overshoot, duration."""
+
+COUNT: Final = 120
+"""Default number of motors."""
+
+R_S: Final = (0.03, 12.0)  # [ohm]
+INDUCTANCE: Final = (15e-6, 8e-3)  # L_d [H]
+POLE_PAIRS: Final = (2.0, 25.0)
+INERTIA: Final = (1e-7, 1e-2)  # [kg m^2]
+VOLTAGE: Final = (12.0, 33.0)  # of the bus [V]
+NO_LOAD_SPEED: Final = (20.0, 700.0)  # at that voltage [rad/s]
+CURRENT: Final = (0.2, 4.0)  # of the drive, peak [A]
+FRICTION: Final = (0.01, 0.1)  # Coulomb friction over the torque of that current
+VISCOUS: Final = (0.005, 0.05)  # viscous friction at the no-load speed over that torque
+SALIENCY: Final = (1.0, 1.4)  # L_q / L_d
+
+STALL_USE: Final = 0.6
+"""Largest current over the one that the voltage drives through the winding at standstill."""
+TIME_CONSTANT: Final = (5e-5, 20e-3)
+"""L_d / R of motors that are built [s]; a draw outside is repeated, as outside of the next two."""
+ACCELERATION_TIME: Final = (5e-3, 5.0)  # to the no-load speed with the current of the drive [s]
+FLUX: Final = (1e-4, 0.5)  # [V s]
+SPEED_USE: Final = 0.7  # limits.speed over the no-load speed
+ACCELERATION_USE: Final = 0.6  # limits.acceleration over the one by the current of the drive
+
+LOWERED: Final = 0.8  # factor on an entry that a warning wants to be lowered
+REMEDIES_MAX: Final = 20  # corrections of one configuration
+FACTS: Final = ("motor.", "friction.", "nominal_voltage")
+"""Entries that are properties of motor and supply: a remedy that changes them is not applied."""
+
+MOVE: Final = 20.0  # [rad]
+TOLERANCE: Final = 6  # permitted distance from the target after the arrival [counts]
+OVERSHOOT_MAX: Final = 12  # [counts], 1.1 degrees
+DURATION_MAX: Final = 1.25
+"""Largest duration of the move, over the one of ramps and path filter; `SETTLING` is added."""
+SETTLING: Final = 0.3  # [s]
+
+
+@dataclass(frozen=True)
+class OwnMotor:
+    """A motor with its supply and drive."""
+
+    r_s: float  # [ohm]
+    l_d: float  # [H]
+    l_q: float  # [H]
+    psi_m: float  # [V s]
+    pole_pairs: int
+    inertia: float  # [kg m^2]
+    friction: float  # Coulomb [N m]
+    viscous: float  # [N m s]
+    voltage: float  # of the bus [V]
+    current: float  # of the drive, peak [A]
+    no_load_speed: float  # at that voltage [rad/s]
+
+    def __str__(self) -> str:
+        return (
+            f"{self.r_s:.3g} ohm, {1e3 * self.l_d:.3g} mH, {self.pole_pairs} pole pairs, {self.inertia:.2g} kg m^2, "
+            f"{self.voltage:.3g} V, {self.current:.2g} A, {self.no_load_speed:.3g} rad/s"
+        )
+
+
+def draw(seed: int, number: int) -> OwnMotor:
+    """Create a motor; it depends on the arguments only."""
+    rng = random.Random(f"{NAME} {seed} {number}")
+
+    def spread(span: tuple[float, float]) -> float:
+        return math.exp(rng.uniform(math.log(span[0]), math.log(span[1])))
+
+    while True:
+        r_s, l_d, inertia, voltage = spread(R_S), spread(INDUCTANCE), spread(INERTIA), rng.uniform(*VOLTAGE)
+        pairs, idle = round(spread(POLE_PAIRS)), spread(NO_LOAD_SPEED)
+        phase = voltage / math.sqrt(3.0)
+        current = min(spread(CURRENT), STALL_USE * phase / r_s)
+        psi = phase / (pairs * idle)
+        torque = 1.5 * pairs * psi * current
+        spans = ((l_d / r_s, TIME_CONSTANT), (inertia * idle / torque, ACCELERATION_TIME), (psi, FLUX))
+        if all(low <= value <= high for value, (low, high) in spans):
+            friction, viscous = torque * spread(FRICTION), torque * spread(VISCOUS) / idle
+            l_q = l_d * rng.uniform(*SALIENCY)
+            return OwnMotor(r_s, l_d, l_q, psi, pairs, inertia, friction, viscous, voltage, current, idle)
+
+
+def _with_brake() -> dict[str, Any]:
+    """The ``servo.toml`` of a board with a brake resistor and thresholds for any of the voltages."""
+    table = copy.deepcopy(dict(servo_table()))
+    table["board"] |= {
+        "over_voltage": 36.0,
+        "brake": {**table["board"]["brake"], "fitted": True, "on_voltage": 34.0, "off_voltage": 33.5},
+        "regeneration": {"start_voltage": 34.5, "full_voltage": 35.5},
+    }
+    return table
+
+
+@functools.cache
+def _firmware(kind: Level) -> Firmware:
+    """Firmware with these thresholds, which are not part of a configuration block; built once per process."""
+    return build_firmware(as_toml(_with_brake()), kind)
+
+
+def data_sheet(motor: OwnMotor) -> dict[str, Any]:
+    """A ``servo.toml`` with the data of the motor, as in the first two steps of ``firmware/config/README.md``."""
+    table = _with_brake()
+    board = table["board"]
+    board |= {"nominal_voltage": motor.voltage, "under_voltage": 0.67 * motor.voltage}
+    speed = SPEED_USE * motor.no_load_speed
+    torque = 1.5 * motor.pole_pairs * motor.psi_m * motor.current
+    own = {
+        "feedback": "encoder",
+        "motor": {
+            **{key: getattr(motor, key) for key in ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia")},
+            "rotor_inertia": motor.inertia,
+            "rated_speed": speed,
+            "rated_current": 0.5 * motor.current,
+        },
+        "friction": {"coulomb": motor.friction, "viscous": motor.viscous},
+        "limits": {
+            "current": motor.current,
+            "speed": speed,
+            "over_speed": 1.2 * speed,
+            "acceleration": ACCELERATION_USE * torque / motor.inertia,
+        },
+        "rotor_search": {"current": motor.current},
+    }
+    return {**table, **{name: copy.deepcopy(own) for name in AXIS_NAMES}}
+
+
+@dataclass(frozen=True)
+class Result:
+    """Result of a motor."""
+
+    number: int
+    motor: OwnMotor
+    refusals: tuple[str, ...]  # refused entries, in the order of their correction
+    refused: str  # final refusal; empty: accepted
+    contradicts: bool  # whether the final refusal has no remedy but another motor or supply
+    problem: str = ""  # why an accepted drive does not work; empty: it works
+    search: float = math.nan  # duration of the rotor search of both axes [s]
+    overshoot: float = math.nan  # larger one of both axes [counts]
+    duration: float = math.nan  # of the move, over its planned duration; the larger one
+
+    @property
+    def failed(self) -> bool:
+        return bool(self.problem) or bool(self.refused and not self.contradicts)
+
+    def __str__(self) -> str:
+        what = self.problem or (f"refused: {self.refused}" if self.refused else "drives")
+        return f"{self.number}: {self.motor}: {what}"
+
+
+def corrected(table: Mapping[str, Any]) -> tuple[Mapping[str, Any], tuple[str, ...], ConfigError | None]:
+    """Apply remedies until the configuration is accepted.
+
+    Returns
+    -------
+    table : mapping
+        The last configuration.
+    refusals : tuple of str
+        Entries of the corrected refusals.
+    error : ConfigError or None
+        A refusal without an applicable remedy; None: accepted.
+    """
+    refusals: list[str] = []
+    for _ in range(REMEDIES_MAX):
+        error = refusal_of(table)
+        if error is None and (entry := _lowered(table)):
+            refusals.append(entry)
+            value = float(str(value_in(table, entry)))
+            table = _for_both_axes(table, entry, LOWERED * value)
+            continue
+        if error is None:
+            return table, tuple(refusals), None
+        error.try_with(table)
+        remedy = next((one for one in error.remedies if _applicable(one)), None)
+        if remedy is None or remedy.value is None:
+            break
+        refusals.append(error.entry)
+        table = _for_both_axes(table, remedy.entry, remedy.value)
+    return table, tuple(refusals), refusal_of(table)
+
+
+def _for_both_axes(table: Mapping[str, Any], entry: str, value: float) -> Mapping[str, Any]:
+    owner, _, path = entry.partition(".")
+    for name in AXIS_NAMES if owner in AXIS_NAMES else (owner,):
+        table = with_value(table, f"{name}.{path}", value)
+    return table
+
+
+def _lowered(table: Mapping[str, Any]) -> str:
+    """Entry that the first warning wants to be lowered; empty: none."""
+    configuration = parse(table, Catalogue.load())
+    design = tuned(configuration.axes[0], configuration)
+    wishes = (one.to_lower for one in findings(design, assess(design)) if isinstance(one, Finding))
+    return next(wishes, "")
+
+
+def _applicable(remedy: Remedy) -> bool:
+    path = remedy.entry.partition(".")[2]
+    return remedy.value is not None and not path.startswith(FACTS)
+
+
+def run_trial(seed: int, number: int, plant: PlantConfig) -> Result:
+    """Configure and drive one motor; `plant` has the other properties of the board."""
+    motor = draw(seed, number)
+    table, refusals, error = corrected(data_sheet(motor))
+    if error is not None:
+        return Result(number, motor, refusals, str(error), not any(map(_applicable, error.remedies)))
+    result = Result(number, motor, refusals, "", contradicts=False)
+    try:
+        return _driven(result, parse(table, Catalogue.load()), _with_motor(plant, motor), seed)
+    except SimulationError as problem:
+        return dataclasses.replace(result, problem=str(problem))
+
+
+def _with_motor(plant: PlantConfig, motor: OwnMotor) -> PlantConfig:
+    names = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous")
+    values = {name: getattr(motor, name) for name in names} | {"pole_pairs": float(motor.pole_pairs)}
+    for axis in range(AXES):
+        plant = plant.with_axis(axis, **values)
+    resistance = float(servo_table()["board"]["brake"]["resistance"])
+    return plant.with_bus(u_source=motor.voltage, r_brake=resistance)
+
+
+def _driven(result: Result, configuration: Configuration, plant: PlantConfig, seed: int) -> Result:
+    axis = configuration.axes[0]
+    search = RotorSearch.of(axis, configuration.board)
+    with fresh_board(plant, seed + result.number, _firmware(level())) as board:
+        write_blocks(Replica(board), blocks_of_configuration(configuration))
+        searching = enable(board, search.time_max + 1.0)
+        planned = _planned(configuration)
+        moves = _moves(board, DURATION_MAX * planned + SETTLING + 1.0)
+    result = dataclasses.replace(
+        result,
+        search=searching.size * configuration.board.tick,
+        overshoot=max(one.overshoot for one in moves),
+        duration=max(math.inf if one.settling_time is None else one.settling_time / planned for one in moves),
+    )
+    problems = []
+    if not math.isfinite(result.duration):
+        problems.append(f"no arrival: {max(one.steady_state for one in moves)} counts off")
+    elif result.duration * planned > DURATION_MAX * planned + SETTLING:
+        problems.append(f"{result.duration * planned:.3g} s instead of {planned:.3g} s")
+    if result.overshoot > OVERSHOOT_MAX:
+        problems.append(f"overshoot of {result.overshoot:g} counts")
+    return dataclasses.replace(result, problem="; ".join(problems))
+
+
+def _planned(configuration: Configuration) -> float:
+    """Duration of the move: at the speed limit, decay of the path filter (DRM E40) and of the position loop [s]."""
+    axis = configuration.axes[0]
+    rest = math.log(MOVE / (2.0 * math.pi) * COUNTS_PER_TURN / TOLERANCE)
+    omega_n = Gains.of(axis, configuration.board).path_omega_n
+    # (1 + x) exp(-x) of the filter, x = omega_n t, is exp(-rest) at about 1.3 rest
+    return MOVE / axis("limits.speed") + 1.3 * rest / omega_n + rest / axis("control.position_gain")
+
+
+def _moves(board: Board, seconds: float) -> Sequence[Any]:
+    position = [board.read_raw(f"{name}.position")[0] for name in AXIS_NAMES]
+    counts = round(MOVE / (2.0 * math.pi) * COUNTS_PER_TURN)
+    targets = {0: position[0] + counts, 1: position[1] - counts}
+    results, log = move(board, targets, seconds, TOLERANCE)
+    for name in AXIS_NAMES:
+        if faults := board.catalogue.active("faults", int(log[-1][f"{name}.faults"])):
+            raise SimulationError(f"{name}: {', '.join(fault.name for fault in faults)} in the move")
+    return results
+
+
+# ---- the experiment
+
+
+@dataclass(frozen=True)
+class _Campaign:
+    """Work of the runner; can be pickled."""
+
+    plant: PlantConfig  # other properties of the board
+    seed: int
+    level: Level  # level of the boards
+
+    def run(self, number: int) -> Result:
+        """Configure and drive one motor."""
+        with at_level(self.level):
+            return run_trial(self.seed, number, self.plant)
+
+
+def trials(plant: PlantConfig, seed: int, numbers: Sequence[int], runner: Runner = HERE) -> list[Result]:
+    """Run motors in order."""
+    return run_in_order(runner, _Campaign(plant, seed, level()), numbers, f"{NAME}, motors")
+
+
+def judge(results: Sequence[Result]) -> Outcome:
+    """Figures of all motors."""
+    accepted = [one for one in results if not one.refused]
+    driving = [one for one in accepted if not one.problem]
+
+    def row(name: str, value: float, unit: str, bound: Bound) -> Row:
+        return Row(name, BEYOND, value, unit, bound)
+
+    rows = (
+        row("motors", len(results), "", Bound()),
+        row("accepted as they are", sum(not one.refusals for one in accepted), "", Bound()),
+        row("accepted with remedies", sum(bool(one.refusals) for one in accepted), "", Bound()),
+        row("refused, beyond a limit of the board", sum(one.contradicts for one in results), "", Bound()),
+        row("refused without a remedy", sum(bool(one.refused) and not one.contradicts for one in results), "", _NONE),
+        row("accepted, drives within the aims", len(driving), "", Bound(minimum=len(accepted))),
+        row("largest duration of a rotor search", _largest(one.search for one in driving), "s", Bound()),
+        row("largest overshoot", _largest(one.overshoot for one in driving), "counts", Bound(maximum=OVERSHOOT_MAX)),
+        row("largest duration over the planned one", _largest(one.duration for one in driving), "", Bound()),
+    )
+    counted = collections.Counter(entry.partition(".")[2] or entry for one in results for entry in one.refusals)
+    notes = [f"corrected {number} times: {entry}" for entry, number in counted.most_common()]
+    notes += [str(one) for one in results if one.refused or one.problem]
+    return Outcome(NAME, rows, (), tuple(notes))
+
+
+_NONE: Final = Bound(maximum=0.0)
+
+
+def _largest(values: Iterator[float]) -> float:
+    return float(np.max([0.0, *values]))
+
+
+def run(plant: PlantConfig, seed: int, count: int = COUNT, runner: Runner = HERE) -> Outcome:
+    """Drive random motors."""
+    return judge(trials(plant, seed, range(count), runner))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this experiment."""
+    parser.add_argument(
+        "--count", type=argument.count, metavar="N", default=COUNT, help="number of motors (default: %(default)s)"
+    )
+    parser.add_argument("--trial", type=int, nargs="+", metavar="K", help="run only these motors")
+    Runner.add_options(parser)
+
+
+def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
+    """The experiment with the parsed options."""
+    if args.trial is None:
+        return functools.partial(run, count=args.count, runner=Runner.of(args))
+    return lambda plant, seed: judge(trials(plant, seed, args.trial, Runner.of(args)))

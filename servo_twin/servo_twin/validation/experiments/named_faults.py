@@ -1,0 +1,82 @@
+"""Common functions of the fault injection experiments: reported fault, detection time, permitted motion."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from servo_msgs_py.fault_record import FaultRecord, record_variable
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.board import Board
+from servo_twin.plant import AxisPlant
+from servo_twin.validation.experiments.rig import flags_of, word
+
+NOTHING: Final = ""
+"""Name for "no fault"."""
+
+COMMON_FAULTS: Final = ("OVER_VOLTAGE", "UNDER_VOLTAGE", "LATE_LOOP", "WATCHDOG")
+"""Faults of both axes."""
+
+PROVOKED_TIME: Final = 3.0
+"""Longest time for the detection after the axis is commanded to move [s]."""
+
+FINAL_TIME: Final = 0.15
+"""Time until the first fault is final [s]."""
+
+GAIN_MARGIN: Final = 0.5
+"""Permitted gain of speed by friction and quantisation [rad/s]."""
+
+
+def place(board: Board, axis: int) -> str:
+    """Sub-state of an axis in RUN, or its state."""
+    state = board.catalogue.label("state_t", word(board, axis, "state"))
+    return board.catalogue.label("substate_t", word(board, axis, "substate")) if state == "RUN" else state
+
+
+def faults(board: Board, axis: int) -> set[str]:
+    """Names of the faults of an axis."""
+    return flags_of(board, axis, "faults")
+
+
+def first_fault(board: Board, axis: int) -> str:
+    """Name of the first fault of an axis; `NOTHING`: none."""
+    code = word(board, axis, "first_fault")
+    return next((fault.name for fault in board.catalogue.flags["faults"] if fault.bit + 1 == code), NOTHING)
+
+
+def fault_record(board: Board, axis: int) -> FaultRecord:
+    """Record of the first fault of an axis."""
+    return FaultRecord.of(axis, board.read(record_variable(axis)), board.catalogue)
+
+
+def fault_time(board: Board, axis: int, *, lost_count: bool = False) -> int:
+    """Time of the first fault of an axis, from its record [ns].
+
+    Parameters
+    ----------
+    board : Board
+        Board, in the slow tick of the detection.
+    axis : int
+        Index of the axis.
+    lost_count : bool
+        The core was stopped and has not counted the PWM periods: the present time is returned.
+    """
+    if lost_count:
+        return board.time_ns
+    return fault_record(board, axis).tick * PERIOD_NS
+
+
+def gain_max(motor: AxisPlant, volts: float) -> float:
+    """Largest permitted gain of speed with the outputs off [rad/s].
+
+    The decaying current, at most the over-current threshold, accelerates the shaft: half of torque times decay time,
+    divided by the inertia.
+
+    Parameters
+    ----------
+    motor : AxisPlant
+    volts : float
+        Voltage against which the current decays [V].
+    """
+    decay = max(motor.l_d, motor.l_q) * motor.i_break / volts
+    return 0.5 * motor.torque_constant * motor.i_break * decay / motor.inertia + GAIN_MARGIN

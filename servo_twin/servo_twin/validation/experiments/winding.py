@@ -1,0 +1,198 @@
+"""Overloaded motors: estimated and true winding temperature, derating, steady state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_tuning.reading import loads
+from servo_tuning.winding import STEP_TICKS, Winding
+
+from servo_twin.board import Board
+from servo_twin.firmware_build import as_toml, servo_table
+from servo_twin.lockstep.blocks import blocks_of_file, write_blocks
+from servo_twin.lockstep.replica import Replica
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import enable
+from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
+from servo_twin.validation.experiments.rig import SETTLED, TICK, fresh_board, set_up, word
+
+NAME: Final = "winding"
+HELP: Final = """\
+Both motors turn against a brake at a speed that they cannot reach, so that the current is at its limit: 4 A into
+windings rated for 2 A continuously. The current limit must be constant until the winding reaches the derating
+temperature, and then fall to the rated current, with the temperature settling at its maximum, without a fault.
+Estimated and true temperature are compared; also for motors with other windings and heat capacities, and for a
+controller with nominal thermal resistance and heat capacity wrong by 30 %. The reference design does not show
+this. The heat capacities are small, so that half a minute is sufficient. The bounds follow from the
+heat balance."""
+
+SECONDS: Final = 40.0
+STEP: Final = 0.02  # [s]
+SPEED: Final = 300.0  # set-point [rad/s]
+REACHED: Final = 100.0  # speed against the brake with 4 A [rad/s]
+ERROR_MAX: Final = 0.5
+"""Permitted error of the estimate with a right configuration, in addition to the heating in a step of the model [K]:
+losses by ripple and offsets."""
+
+FINAL_ERROR_MAX: Final = 2.5
+"""Permitted deviation of the final temperature from the heat balance [K]."""
+
+REMAINING_RISE_MAX: Final = 0.05
+"""Permitted remaining temperature rise at the end, relative to the total rise."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor and the nominal values of its winding."""
+
+    rated: float  # continuous current at the maximum temperature [A]
+    capacity: float  # nominal heat capacity of the winding [J/K]
+    r_s: float | None = None  # phase resistance, instead of the plant's [ohm]
+    resistance_error: float = 1.0  # nominal thermal resistance relative to the true one
+    capacity_error: float = 1.0  # nominal heat capacity relative to the true one
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two motors on a board."""
+
+    name: str
+    motors: tuple[Motor, ...]
+
+
+MATCHED: Final = (Motor(2.0, 0.5), Motor(2.0, 0.9))
+CASES: Final = (
+    Case("nominal", MATCHED),
+    Case("other windings", (Motor(1.5, 0.3, r_s=0.9), Motor(2.6, 0.8, r_s=0.3))),
+    Case(
+        "wrong by 30 %",
+        (
+            replace(MATCHED[0], resistance_error=0.7, capacity_error=1.3),
+            replace(MATCHED[1], resistance_error=1.3, capacity_error=0.7),
+        ),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class TimeSeries:
+    """One axis over time."""
+
+    time: NDArray[np.float64]  # [s]
+    estimate: NDArray[np.float64]  # estimated temperature of the winding [deg C]
+    truth: NDArray[np.float64]  # true temperature of the winding [deg C]
+    current: NDArray[np.float64]  # set-point i_q [A]
+    winding_current: NDArray[np.float64]  # current limit of the winding in the firmware [A]
+    faults: int  # all bits that were set
+
+    @property
+    def derated_from(self) -> float | None:
+        """Time of the first derating [s]."""
+        derated = self.winding_current < 0.99 * self.winding_current.max()
+        return float(self.time[np.argmax(derated)]) if derated.any() else None
+
+
+def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig, str, list[Winding], list[Winding]]:
+    """Plant with these motors, its configuration, and the nominal and true windings.
+
+    The nominal thermal resistance follows from rated current, maximum temperature and ambient temperature of the plant.
+    """
+    table = {**servo_table()}
+    table["defaults"] = {**table["defaults"], "winding": {**table["defaults"]["winding"], "ambient": plant.ambient}}
+    for axis, motor in enumerate(motors):
+        entry = dict(table[axis_name(axis)])
+        entry["motor"] = {**entry["motor"], "rated_current": motor.rated, "r_s": motor.r_s or plant.axes[axis].r_s}
+        entry["winding"] = {"heat_capacity": motor.capacity}
+        table[axis_name(axis)] = entry
+    text = as_toml(table)
+    nominal = [Winding.of(axis) for axis in loads(text, Catalogue.load()).axes]
+    true: list[Winding] = []
+    for axis, (motor, winding) in enumerate(zip(motors, nominal, strict=True)):
+        true.append(
+            replace(
+                winding,
+                resistance=winding.resistance / motor.resistance_error,
+                capacity=winding.capacity / motor.capacity_error,
+            )
+        )
+        plant = plant.with_axis(
+            axis,
+            r_s=winding.r_s,
+            winding_resistance=true[axis].resistance,
+            winding_capacity=true[axis].capacity,
+            viscous=plant.axes[axis].torque_constant * winding.current / REACHED,
+        )
+    return plant, text, nominal, true
+
+
+def time_series(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[TimeSeries]:
+    """Run cold motors for `seconds` [s] with the largest current from the start."""
+    with fresh_board(plant, seed) as board:
+        write_blocks(Replica(board), blocks_of_file(text, board.catalogue))
+        enable(board)
+        board.run(SETTLED)
+        for axis in range(AXES):
+            set_up(board, axis, "SPEED", SPEED, WINDING_MODEL=True)
+            board.set_winding(axis, plant.ambient)
+        return _record(board, seconds)
+
+
+def _record(board: Board, seconds: float) -> list[TimeSeries]:
+    ticks = round(seconds / STEP)
+    table = np.zeros((AXES, 4, ticks))
+    faults = [0] * AXES
+    for k in range(ticks):
+        board.run(STEP)
+        for axis in range(AXES):
+            estimate, current, winding_current = (
+                float(np.asarray(board.read(f"{axis_name(axis)}.{of}")).item())
+                for of in ("winding_temperature", "i_q_ref", "winding_current")
+            )
+            table[axis, :, k] = estimate, board.truth(axis).t_winding, current, winding_current
+            faults[axis] |= word(board, axis, "faults")
+    time = STEP * np.arange(1, ticks + 1, dtype=np.float64)
+    return [
+        TimeSeries(time, columns[0], columns[1], columns[2], columns[3], faults[axis])
+        for axis, columns in enumerate(table)
+    ]
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
+    """Both axes, every case."""
+    for case in CASES:
+        changed_plant, text, nominal, true = configured(plant, case.motors)
+        found = time_series(changed_plant, seed, text, SECONDS)
+        for axis, (series, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
+            name = f"{axis_name(axis)}, {case.name}"
+            yield from figures(Judge(f"{name}: "), series, model, winding)
+            beyond = float(series.truth[-1]) - winding.maximum
+            yield f"{name}: the winding ends {beyond:+.1f} K from its maximum of {winding.maximum:g} deg C"
+            curves = (
+                Curve("winding [deg C]", series.time, series.truth),
+                Curve("estimate [deg C]", series.time, series.estimate, "--"),
+                Curve("current [0.1 A]", series.time, 10.0 * series.current),
+            )
+            yield Panel(name, "time [s]", "", curves)
+
+
+def figures(judge: Judge, series: TimeSeries, model: Winding, winding: Winding) -> Iterator[Row]:
+    """Expected values: controller from its nominal values (`model`), winding from the resulting current."""
+    until = model.time_to(model.derating, model.current)
+    current, estimate = model.settled()
+    truth = winding.equilibrium(current)
+    rest = max(FINAL_ERROR_MAX, REMAINING_RISE_MAX * (truth - winding.ambient))
+    late = 0.05 * until + 2.0 * STEP
+    yield judge("time until derating", series.derated_from, "s", until - late, until + late)
+    yield judge.near("final current", series.current[-1], "A", current, 0.02 * current)
+    yield judge.near("final estimate", series.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
+    yield judge("final winding temperature", series.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
+    yield judge.none("faults", series.faults)
+    if winding == model:
+        step = model.loss(model.current, model.derating) / model.capacity * STEP_TICKS * TICK
+        yield judge("error of the estimate", np.abs(series.estimate - series.truth).max(), "K", 0.0, step + ERROR_MAX)
