@@ -78,7 +78,7 @@ def switching_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
 @pytest.fixture(scope="session")
 def stepping_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
     """Plant at switching level without linear intervals: all segments by the general integration."""
-    return build_switching(tmp_path_factory.mktemp("stepping"), "stepping_under_test", "PLANT_NO_LINEAR_INTERVALS")
+    return build_switching(tmp_path_factory.mktemp("stepping"), "stepping_under_test", "PLANT_GENERAL")
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,7 @@
 """CPU time of one PWM period of both axes in the plant alone: switching level and averaged, in one run.
 
-Compiles ``plant/bench_plant.c`` with the options of the extension module, prints its table and writes it as JSON. No
-firmware and no chip take part.
+Compiles ``plant/bench_plant.c`` with the options of the extension module, and again with the general integrations alone
+(``PLANT_GENERAL``), prints both tables and writes them as JSON. No firmware and no chip take part.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _ROW: Final = re.compile(
 )
 
 
-def run(periods: int) -> str:
-    """Table of the compiled bench.
+def run(periods: int, *options: str) -> str:
+    """Table of the bench, compiled with more options.
 
     Raises
     ------
@@ -42,7 +42,9 @@ def run(periods: int) -> str:
     with tempfile.TemporaryDirectory(prefix="bench-plant-") as folder:
         program = str(Path(folder) / "bench_plant")
         sources = [str(path) for path in [*sorted((NATIVE / "plant").glob("*.c")), SOURCE]]
-        subprocess.run([*compiler, *OPTIONS, *WARNINGS, f"-I{NATIVE}", *sources, "-o", program, "-lm"], check=True)
+        subprocess.run(
+            [*compiler, *OPTIONS, *WARNINGS, *options, f"-I{NATIVE}", *sources, "-o", program, "-lm"], check=True
+        )
         return subprocess.run([program, str(periods)], check=True, capture_output=True, text=True).stdout
 
 
@@ -58,16 +60,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--periods", type=int, default=32_000)
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench" / "plant.json", metavar="FILE")
     options = parser.parse_args(arguments)
-    try:
-        text = run(options.periods)
-    except (OSError, subprocess.CalledProcessError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    print(text, end="")
-    table = rows(text)
-    switching = PERIOD_NS / max(row["switching_ns"] for row in table)
-    averaged = PERIOD_NS / max(row["averaged_ns"] for row in table)
-    print(f"plant alone, at least: {switching:.0f} (switching), {averaged:.0f} (averaged) times real time")
+    builds = {"fast": (), "general": ("-DPLANT_GENERAL",)}
+    table: dict[str, list[dict[str, float]]] = {}
+    for name, defines in builds.items():
+        try:
+            text = run(options.periods, *defines)
+        except (OSError, subprocess.CalledProcessError) as error:
+            print(error, file=sys.stderr)
+            return 1
+        print(f"{name}:\n{text}", end="")
+        table[name] = rows(text)
+    for plant in ("switching", "averaged"):
+        fast, general = (sum(row[f"{plant}_ns"] for row in table[name]) for name in builds)
+        worst = PERIOD_NS / max(row[f"{plant}_ns"] for row in table["fast"])
+        print(
+            f"{plant}: at least {worst:.0f} times real time, {general / fast:.2f} x the general integration"
+        )
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     return 0

@@ -5,7 +5,7 @@
 
 #include "plant/trig.h"
 
-#ifdef __GNUC__
+#if defined(__GNUC__) && !defined(PLANT_GENERAL)
 
 #ifdef __SSE2__
 #include <emmintrin.h>

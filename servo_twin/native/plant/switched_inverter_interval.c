@@ -91,7 +91,7 @@ void inverter_interval_end(switched_inverter_t *inv)
     inverter_count_rotation(inv);
 }
 
-#if defined(__GNUC__) && !defined(PLANT_NO_LINEAR_INTERVALS) /* a stator vector and its phases in one register */
+#if defined(__GNUC__) && !defined(PLANT_GENERAL) /* a stator vector and its phases in one register */
 
 #include "plant/segment_trajectory.h"
 
