@@ -79,6 +79,15 @@ def test_other_encodings_are_refused_with_a_remedy(name: str, encoding: str, tmp
         reader(path)
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_file_of_any_size_is_refused_with_the_bound(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    with path.open("wb") as file:
+        file.truncate(10**12)  # without the memory for it
+    with pytest.raises(Exception, match=r"it has more than [0-9]+ bytes, the largest size"):
+        FILES[name][0](path)
+
+
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\r\0")), st.sampled_from(["\n", "\r\n", "\r"]))
 def test_text_is_independent_of_mark_and_line_ends(text: str, end: str) -> None:
     plain = text.removeprefix("\ufeff")

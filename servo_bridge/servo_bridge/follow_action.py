@@ -20,6 +20,7 @@ from servo_bridge.goals import Goals
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.goal import PREEMPTED, Goal, GoalDefaults
+from servo_bridge.trajectory.message import converted
 from servo_bridge.trajectory.path import State
 from servo_bridge.trajectory.tolerances import Phase, goal_time_from, tolerances_from
 from servo_msgs_py import topics
@@ -156,11 +157,11 @@ class FollowAction:
     def _accept(self, handle: Any) -> None:
         handle.execute()
         request = handle.request
-        joints = self._goals.joints_of(request.trajectory)
+        joints = self._goals.joints_of(request.trajectory.joint_names)
         goal = Goal(joints, {}, {}, 0.0)
         try:
             owner = _Sender(self._type, handle, self._end, joints, self._gears)
-            self._goals.begin(_SOURCE, request.trajectory, self._goal(request, joints), owner, PREEMPTED)
+            self._goals.begin(_SOURCE, converted(request.trajectory), self._goal(request, joints), owner, PREEMPTED)
         except Rejected as error:
             goal.refused(error)
         except Exception as error:  # an exception would end the executor

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from trajectory_msgs.msg import JointTrajectory
 
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.goal import CANCELED, Goal, Step
 from servo_bridge.trajectory.merge import merged
+from servo_bridge.trajectory.message import TrajectoryMessage
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.tolerances import Phase
@@ -71,19 +71,18 @@ class Goals:
         self._follower = follower
         self._active: list[_Active] = []
 
-    def joints_of(self, message: JointTrajectory) -> list[str]:
+    def joints_of(self, names: Sequence[str]) -> list[str]:
         """Joints of a trajectory in the order of the axes; all if it names none."""
-        names = message.joint_names
         return [joint for joint in self._joints if joint in names or not len(names)]
 
-    def begin(self, source: str, message: JointTrajectory, goal: Goal, owner: Owner, takes_over: str = "") -> None:
+    def begin(self, source: str, message: TrajectoryMessage, goal: Goal, owner: Owner, takes_over: str = "") -> None:
         """Start to follow a trajectory, or to stop its joints if it is empty.
 
         Parameters
         ----------
         source : str
             Topic or action of the trajectory.
-        message : JointTrajectory
+        message : TrajectoryMessage
             The trajectory.
         goal : Goal
             Its joints and tolerances.
@@ -98,7 +97,7 @@ class Goals:
             If it is refused at once; then nothing is changed.
         """
         active = _Active(owner, source, goal)
-        if not len(message.points):
+        if not message.size:
             reason = takes_over or f"an empty trajectory on {source} stopped it"
             goal.stopping(self._trajectories.stop(source, message.joint_names, reason))
             self._active.append(active)

@@ -8,9 +8,10 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
 
@@ -21,6 +22,9 @@ from servo_bridge.parameters import PARAMETERS, ParameterError, declare, setting
 from servo_bridge.supervisor import Supervisor
 from servo_bridge.unlocked_publisher import unlocked
 from servo_bridge.wire.link import Link
+
+MESSAGE_BYTES_MAX: Final = 4096
+"""Largest message of a topic; a JointState of two joints has 200 [bytes]."""
 
 
 class ServoBridge(LifecycleNode):
@@ -79,11 +83,33 @@ class ServoBridge(LifecycleNode):
         return unlocked(super().create_publisher(*arguments, **options))
 
     def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., Any], *arguments: Any, **options: Any
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        *arguments: Any,
+        raw: bool = False,
+        bytes_max: int = MESSAGE_BYTES_MAX,
+        **options: Any,
     ) -> Any:
-        """As `Node.create_subscription`."""
-        timed = self.watch.timed(f"topic {topic}", callback)
-        return super().create_subscription(msg_type, topic, timed, *arguments, **options)
+        """As `Node.create_subscription`; a message of more bytes is refused before its conversion."""
+
+        def take(data: bytes) -> None:
+            if len(data) > bytes_max:
+                self._reject(topic, f"the message has {len(data)} bytes, more than {bytes_max}; send a smaller one")
+                return
+            if raw:
+                callback(data)
+                return
+            try:
+                message = deserialize_message(data, msg_type)
+            except RuntimeError as error:
+                self._reject(topic, f"the message is not a {msg_type.__name__} ({error}); send it again")
+            else:
+                callback(message)
+
+        timed = self.watch.timed(f"topic {topic}", take)
+        return super().create_subscription(msg_type, topic, timed, *arguments, raw=True, **options)
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *arguments: Any, **options: Any
@@ -140,6 +166,10 @@ class ServoBridge(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     # ---- details
+    def _reject(self, topic: str, reason: str) -> None:
+        if self.supervisor is not None:
+            self.supervisor.reject(topic, reason)
+
     def _start(self) -> None:
         for transition in (self.trigger_configure, self.trigger_activate):
             transition()

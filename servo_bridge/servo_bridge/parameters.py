@@ -10,7 +10,7 @@ import re
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -41,6 +41,12 @@ __all__ = [
     "values_of",
     "watch",
 ]
+
+_ENTRIES_MAX: Final = 256
+"""Largest number of entries of a list; the board has fewer variables that can be chosen."""
+
+_TEXT_MAX: Final = 4096
+"""Longest text; that of a path."""
 
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -226,6 +232,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
     ParameterError
         If a value is invalid.
     """
+    _check_sizes(values)
     names = tuple(values["joints"])
     if len(names) != AXES or len(set(names)) != AXES or not all(map(_JOINT.fullmatch, names)):
         raise ParameterError(
@@ -264,6 +271,21 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         home_positions=_home_positions(values),
         restore_positions=values["restore_positions"],
     )
+
+
+def _check_sizes(values: Mapping[str, Any]) -> None:
+    """Refuse large values before any work on them: a change is checked in the thread that serves the axes."""
+    for name, value in values.items():
+        entries = value if isinstance(value, list) else [value]
+        if len(entries) > _ENTRIES_MAX:
+            raise ParameterError(
+                f"parameter {name} has {len(entries)} entries, more than {_ENTRIES_MAX}; write at most {_ENTRIES_MAX}"
+            )
+        longest = max((len(entry) for entry in entries if isinstance(entry, str)), default=0)
+        if longest > _TEXT_MAX:
+            raise ParameterError(
+                f"parameter {name} has a text of {longest} characters, more than {_TEXT_MAX}; write a shorter one"
+            )
 
 
 def _interfaces(texts: Sequence[str], joints: Sequence[str]) -> Mapping[str, frozenset[str]] | None:

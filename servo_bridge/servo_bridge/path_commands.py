@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from rclpy.serialization import deserialize_message
 from servo_msgs_py.answers import LEASE_TIMEOUT, TICKET, Answer, Phase
 from servo_msgs_py.runtime.qos import command_qos
 from std_msgs.msg import String
@@ -19,14 +18,12 @@ from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory import tolerances
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.goal import Goal, GoalDefaults
+from servo_bridge.trajectory.message import BYTES_MAX, TrajectoryMessage, read
 from servo_bridge.trajectory.path import State
-from servo_bridge.trajectory.waypoints import WAYPOINTS_MAX
 from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_msgs_py import topics
 
 _SOURCE: Final = topics.JOINT_TRAJECTORY
-_BYTES_MAX: Final = 4_000_000
-"""Largest message [bytes]: `WAYPOINTS_MAX` points of two joints with all fields have 3 MB."""
 
 _LAPSED: Final = f"its sender has not renewed it for {LEASE_TIMEOUT:g} s (ended, suspended, or lost)"
 
@@ -122,7 +119,7 @@ class PathCommands:
         self._answers, self._defaults, self._warn = answers, defaults, warn
         self._leases: dict[str, Lease] = {}  # by ticket
         node, qos = context.node, command_qos()
-        node.create_subscription(JointTrajectory, _SOURCE, self._on_message, qos, raw=True)
+        node.create_subscription(JointTrajectory, _SOURCE, self._on_message, qos, raw=True, bytes_max=BYTES_MAX)
         node.create_subscription(String, topics.LEASES, self._on_renewal, qos)
 
     def _on_renewal(self, message: String) -> None:
@@ -130,21 +127,21 @@ class PathCommands:
             self._leases[message.data].renew()
 
     def _on_message(self, data: bytes) -> None:
-        """Refuse a message of too many bytes before its conversion, which stops all other threads."""
-        if len(data) > _BYTES_MAX:
-            reason = f"{_SOURCE}: {len(data)} bytes, more than {_BYTES_MAX}; send at most {WAYPOINTS_MAX} points"
-            self._context.reject(_SOURCE, TrajectoryError(reason))
+        try:
+            message = read(data)
+        except TrajectoryError as error:
+            self._context.reject(_SOURCE, TrajectoryError(f"{_SOURCE}: {error}", error.code))
         else:
-            self._on_trajectory(deserialize_message(data, JointTrajectory))
+            self._on_trajectory(message)
 
-    def _on_trajectory(self, message: JointTrajectory) -> None:
-        ticket = message.header.frame_id
+    def _on_trajectory(self, message: TrajectoryMessage) -> None:
+        ticket = message.frame_id
         if self._answers.known(ticket):
             return  # repeated by its sender, which has not received the answer yet
         try:
             if ticket.startswith(TICKET):
                 self._begin(ticket, message)
-            elif len(message.points):
+            elif message.size:
                 refused = self._context.reject
                 self._trajectories.follow(_SOURCE, message, refused=lambda error: refused(_SOURCE, error))
             else:
@@ -154,12 +151,12 @@ class PathCommands:
             code = error.code if isinstance(error, TrajectoryError) else ErrorCode.INVALID_GOAL
             self._answers.publish(Answer(ticket, _SOURCE, Phase.REFUSED, str(error), int(code)))
 
-    def _begin(self, ticket: str, message: JointTrajectory) -> None:
-        joints = self._goals.joints_of(message)
+    def _begin(self, ticket: str, message: TrajectoryMessage) -> None:
+        joints = self._goals.joints_of(message.joint_names)
         no_path_tolerance = tolerances.tolerances_from((), joints, {})
         at_end = tolerances.tolerances_from((), joints, self._defaults.goal)
         goal = Goal(joints, no_path_tolerance, at_end, self._defaults.goal_time)
-        lease = Lease() if len(message.points) else None
+        lease = Lease() if message.size else None
         self._goals.begin(_SOURCE, message, goal, _Sender(ticket, lease, self._publish, self._warn))
         self._publish(Answer(ticket, _SOURCE, Phase.ACCEPTED))
         if lease is not None:

@@ -55,6 +55,7 @@ from servo_bridge.path_commands import PathCommands
 from servo_bridge.publications import Publications
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_point_topics import SetPointTopics
+from servo_bridge.set_points import Rejected
 from servo_bridge.slow_values import SlowValues
 from servo_bridge.snapshot_events import SnapshotEvents
 from servo_bridge.storage_service import StorageService
@@ -307,6 +308,10 @@ class Supervisor:
         self._pace_keep_alive()
 
     # ---- commands
+    def reject(self, topic: str, reason: str) -> None:
+        """Count and log a message that cannot be taken."""
+        self._commands.reject(topic, Rejected(f"{topic}: {reason}"))
+
     def _send(self, write: CommandWrite) -> None:
         """Start a write; its result returns through the inbox, in order with the samples."""
 

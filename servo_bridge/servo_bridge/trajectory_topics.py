@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from trajectory_msgs.msg import JointTrajectory
-
 from servo_bridge.command_context import CommandContext
 from servo_bridge.set_points import NotReady
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.follower import QUICK, Follower, Plan
-from servo_bridge.trajectory.from_message import check_size, from_message
+from servo_bridge.trajectory.from_message import from_message
+from servo_bridge.trajectory.message import TrajectoryMessage, check_size
 from servo_bridge.trajectory.path import Path
 
 _STOP_DELAY = 0.1
@@ -92,7 +91,7 @@ class TrajectoryTopics:
     def follow(
         self,
         source: str,
-        message: JointTrajectory,
+        message: TrajectoryMessage,
         *,
         refused: Callable[[TrajectoryError], None],
         begun: Callable[[float], None] | None = None,
@@ -106,7 +105,7 @@ class TrajectoryTopics:
         ----------
         source : str
             Topic or action of the trajectory.
-        message : JointTrajectory
+        message : TrajectoryMessage
             The trajectory.
         refused : callable
             Called with the reason if it cannot begin.
@@ -135,8 +134,7 @@ class TrajectoryTopics:
         limits, origin_ns = self._context.limits(), self._origin_ns()
         if limits is None or origin_ns is None:
             raise TrajectoryError(f"{source}: the board has not reported its limits yet; try again in 1 s")
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        stamp_ns = message.stamp_ns
 
         def plan(running: Path, now: float) -> Path:
             wrapping = [joint.name for joint in self._context.arbiter.joints if joint.wraps]
@@ -155,7 +153,7 @@ class TrajectoryTopics:
 
         # Errors of the trajectory itself are reported at once, not when the axes are ready; those of a long one later.
         check_size(message, source)
-        if len(message.points) <= QUICK:
+        if message.size <= QUICK:
             running = self._follower.running()
             plan(running, running.start_time)
         self._context.arbiter.admit(source, axes)
@@ -168,7 +166,7 @@ class TrajectoryTopics:
             abandoned=abandoned,
             postponed=begins_later,
             takes_over=takes_over or f"a trajectory on {source} took over",
-            size=len(message.points),
+            size=message.size,
             movable=True,
         )
         self._context.accept()

@@ -51,6 +51,7 @@ def test_a_json_file_gives_waypoints(tmp_path: File) -> None:
         ("time,axis1\n0,1\n\n1,2,3\n", "line 4: 3 values for 2 columns"),
         ("time,axis1\n0,1\n1,fast\n", "line 3: axis1 is 'fast'; write a finite number"),
         ("time,axis1\n0,1\n1,nan\n", "line 3: axis1 is 'nan'; write a finite number"),
+        ("time,axis1\n" + "?\n" * 100_001, "there are 100001 waypoints, more than 100000; send the path in parts"),
         ("time,axis1\n0,1\n0,2\n", "line 3: time 0 s is not after 0 s; order the lines by time"),
     ],
 )

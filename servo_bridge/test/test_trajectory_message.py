@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Duration, Time
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.from_message import from_message
+from servo_bridge.trajectory.message import converted, read
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import path_through
-from servo_bridge.trajectory.waypoints import Waypoints
+from servo_bridge.trajectory.waypoints import WAYPOINTS_MAX, Waypoints
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 JOINTS = ("axis1", "axis2")
 ORIGIN = 1_700_000_000_000_000_000
@@ -35,11 +43,13 @@ def message(*points: SimpleNamespace, names: tuple[str, ...] = JOINTS, at: float
     if at is not None:
         stamp.sec += duration(at).sec
         stamp.nanosec = duration(at).nanosec
-    return SimpleNamespace(header=SimpleNamespace(stamp=stamp), joint_names=list(names), points=list(points))
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp, frame_id=""), joint_names=list(names), points=list(points)
+    )
 
 
 def taken(trajectory: Any, running: Path = HOLD, **options: Any) -> Path:
-    return from_message(trajectory, running, NOW, ORIGIN, **options)
+    return from_message(converted(trajectory), running, NOW, ORIGIN, **options)
 
 
 def same(actual: State, expected: State) -> None:
@@ -148,3 +158,47 @@ def test_messages_of_ros_become_a_path() -> None:
     ]
     path = taken(trajectory)
     assert (path.joints, path.end_time, path.end[0]) == (("axis2",), 11.5, 3.0)
+
+
+ROWS = st.lists(st.floats(allow_nan=True), max_size=3)
+MESSAGES = st.builds(
+    lambda frame_id, names, points: JointTrajectory(
+        header=Header(stamp=Time(sec=-3, nanosec=5), frame_id=frame_id),
+        joint_names=names,
+        points=[
+            JointTrajectoryPoint(
+                positions=p, velocities=v, accelerations=a, effort=e, time_from_start=Duration(sec=sec, nanosec=7)
+            )
+            for p, v, a, e, sec in points
+        ],
+    ),
+    st.text("a/\u00e9\u4e00", max_size=9),
+    st.lists(st.sampled_from(["a", "axis1", "longer"]), max_size=2),
+    st.lists(st.tuples(ROWS, ROWS, ROWS, ROWS, st.integers(-9, 9)), max_size=4),
+)
+
+
+@given(MESSAGES)
+def test_serialised_message_has_the_values_of_the_converted_one(message: JointTrajectory) -> None:
+    ours, theirs = read(serialize_message(message)), converted(message)
+    assert (ours.frame_id, ours.stamp_ns, ours.joint_names, ours.size) == (
+        theirs.frame_id,
+        theirs.stamp_ns,
+        theirs.joint_names,
+        theirs.size,
+    )
+    assert ours.points().times_ns == theirs.points().times_ns
+    for mine, other in zip(ours.points().rows, theirs.points().rows, strict=True):
+        np.testing.assert_array_equal(mine.sizes, other.sizes)
+        np.testing.assert_array_equal(mine.values, other.values)
+
+
+@given(MESSAGES, st.data())
+def test_cut_or_changed_message_is_refused_or_read(message: JointTrajectory, data: st.DataObject) -> None:
+    content = bytearray(serialize_message(message))
+    content[data.draw(st.integers(0, len(content) - 1))] ^= data.draw(st.integers(1, 255))
+    content = content[: data.draw(st.integers(0, len(content)))]
+    with contextlib.suppress(TrajectoryError):
+        trajectory = read(bytes(content))
+        if trajectory.size <= WAYPOINTS_MAX:
+            trajectory.points()

@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import pytest
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import QUICK, AxisReport, Follower
-from servo_bridge.trajectory.from_message import check_size
 from servo_bridge.trajectory.line_capacity import PointLine
+from servo_bridge.trajectory.message import TrajectoryMessage, check_size, converted
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.timed_points import PERIOD
@@ -179,8 +179,9 @@ def test_path_that_the_line_does_not_carry_is_refused_with_both_rates() -> None:
     assert not rig.ends
 
 
-def message(joints: int, points: int) -> Any:
-    return SimpleNamespace(joint_names=["axis1"] * joints, points=[None] * points)
+def message(joints: int, points: int) -> TrajectoryMessage:
+    header = SimpleNamespace(frame_id="", stamp=SimpleNamespace(sec=0, nanosec=0))
+    return converted(SimpleNamespace(header=header, joint_names=["axis1"] * joints, points=[None] * points))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from servo_msgs_py.runtime.qos import command_qos
 from servo_msgs_py.timed_points import TimedPoint, decode_points
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from servo_bridge import path_commands
 from servo_msgs_py import topics
 
 pytestmark = pytest.mark.realtime
@@ -75,14 +74,6 @@ def test_invalid_trajectory_is_refused_at_once(rig: Rig) -> None:
     publish(rig, trajectory((0.5, [1.0]), joints=("elbow",)))
     rig.until(rig.rejections)
     assert "elbow" in rig.rejections()[-1]
-    assert rig.link.written == []
-
-
-def test_message_beyond_the_bound_is_refused_before_its_conversion(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_commands, "_BYTES_MAX", 10_000)
-    publish(rig, trajectory(*((0.001 * k, [0.0, 0.0]) for k in range(1, 300))))
-    rig.until(rig.rejections)
-    assert "more than 10000; send at most" in rig.rejections()[-1]
     assert rig.link.written == []
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+BYTES_MAX: Final = 1_000_000
+"""Largest file without another bound [bytes]."""
 
 _MARK = "\ufeff"
 
@@ -39,17 +42,21 @@ def decoded(data: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_text(path: Path) -> str:
-    """Read a text file.
+def read_text(path: Path, bytes_max: int = BYTES_MAX) -> str:
+    """Read a text file of a bounded size.
 
     Raises
     ------
     TextFileError
-        If it is not UTF-8.
+        If it is not UTF-8, or larger.
     OSError
         If it cannot be read.
     """
-    return decoded(path.read_bytes())
+    with path.open("rb") as file:
+        data = file.read(bytes_max + 1)
+    if len(data) > bytes_max:
+        raise TextFileError(f"it has more than {bytes_max} bytes, the largest size; choose a smaller file")
+    return decoded(data)
 
 
 def parse_toml(text: str) -> dict[str, Any]:

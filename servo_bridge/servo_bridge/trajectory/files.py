@@ -7,12 +7,15 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path as File
-from typing import Any
+from typing import Any, Final
 
 from servo_msgs_py.text_file import TextFileError, parse_json, read_text
 
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.waypoints import Waypoints
+from servo_bridge.trajectory.waypoints import Waypoints, check_count
+
+_BYTES_MAX: Final = 32_000_000
+"""Largest file: that of `WAYPOINTS_MAX` points of two joints with all fields in JSON [bytes]."""
 
 _VELOCITY = "_velocity"
 _POINT = ("time_from_start", "positions", "velocities", "accelerations", "effort")
@@ -45,7 +48,7 @@ def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
     if reader is None:
         raise TrajectoryError(f"{path}: unknown format; use a file whose name ends with .csv or .json")
     try:
-        return reader(read_text(path), joints)
+        return reader(read_text(path, _BYTES_MAX), joints)
     except OSError as error:
         raise TrajectoryError(f"{path}: cannot be read ({error.strerror}); check name and permissions") from None
     except TextFileError as error:
@@ -62,6 +65,7 @@ def _from_csv(text: str, known: Sequence[str]) -> Waypoints:
         raise TrajectoryError("line 1: the file is empty; begin with a header such as time,axis1,axis2")
     number, header = lines[0]
     joints = _joints_of(number, header, known)
+    check_count(len(lines) - 1)
     times: list[float] = []
     rows: list[dict[str, float]] = []
     for number, row in lines[1:]:
@@ -123,6 +127,7 @@ def _from_json(text: str, known: Sequence[str]) -> Waypoints:
         if joint not in known:
             raise TrajectoryError(f"joint {joint!r} in joint_names does not exist; the joints are {', '.join(known)}")
     points: list[Any] = content["points"]
+    check_count(len(points))
     for k, point in enumerate(points):
         if not isinstance(point, dict) or not {"time_from_start", "positions"} <= point.keys() <= set(_POINT):
             raise TrajectoryError(

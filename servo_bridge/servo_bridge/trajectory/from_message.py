@@ -9,23 +9,22 @@ rule as there: the whole trajectory is moved by turns, so that its begin is clos
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 import numpy as np
-from servo_msgs_py.catalogue import AXES
 
 from servo_bridge.trajectory.blend import joined
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
+from servo_bridge.trajectory.message import TrajectoryMessage
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import START_TOLERANCE, path_through
-from servo_bridge.trajectory.waypoints import WAYPOINTS_MAX, Waypoints, check_joints
+from servo_bridge.trajectory.waypoints import Waypoints, check_joints
 
 _STANDING = float(np.finfo(np.float32).eps)
 """Velocity that joint_trajectory_controller accepts as zero at the end [rad/s]."""
 
 
 def from_message(
-    message: Any,
+    message: TrajectoryMessage,
     running: Path,
     now: float,
     origin_ns: int,
@@ -39,8 +38,8 @@ def from_message(
 
     Parameters
     ----------
-    message : trajectory_msgs/JointTrajectory
-        Any object with these fields.
+    message : TrajectoryMessage
+        Its points are read here.
     running : Path
         Present path of all joints (`Path.hold` at rest). It continues until the new path begins; joints that are not in
         the message keep it.
@@ -71,8 +70,7 @@ def from_message(
         names = list(message.joint_names)
         _check_known(names, running.joints)
         check_joints(names)
-        stamp_ns = _nanoseconds(message.header.stamp)
-        begin = (stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else now
+        begin = (message.stamp_ns - origin_ns) * 1.0e-9 if message.stamp_ns else now
         waypoints = _waypoints(message, names, begin)
         path = _path(waypoints, running, begin, now, start_tolerance, may_end_moving, wrapping)
         return path.select([joint for joint in running.joints if joint in names])
@@ -112,33 +110,13 @@ def _path(
     return path_through(waypoints, state, start, start_tolerance)
 
 
-def _waypoints(message: Any, names: list[str], begin: float) -> Waypoints:
-    points = list(message.points)
-    for k, point in enumerate(points):
-        if _nanoseconds(point.time_from_start) < 0:
-            raise TrajectoryError(f"time_from_start of point #{k} is negative; write 0 or more")
-    times = [begin + _nanoseconds(point.time_from_start) * 1.0e-9 for point in points]
-    rows = ([list(getattr(p, field)) or None for p in points] for field in _FIELDS)
-    return Waypoints.of(names, times, *rows)
-
-
-_FIELDS = ("positions", "velocities", "accelerations", "effort")
-
-
-def check_size(message: Any, source: str) -> None:
-    """Refuse a message with more joints or points than can be planned, before any work on them.
-
-    Raises
-    ------
-    TrajectoryError
-        With the bound.
-    """
-    for name, size, most in (
-        ("joint_names", len(message.joint_names), AXES),
-        ("points", len(message.points), WAYPOINTS_MAX),
-    ):
-        if size > most:
-            raise TrajectoryError(f"{source}: {name} has {size} entries, more than {most}; send at most {most}")
+def _waypoints(message: TrajectoryMessage, names: list[str], begin: float) -> Waypoints:
+    points = message.points()
+    since_start = np.array(points.times_ns, dtype=np.int64)
+    if (since_start < 0).any():
+        k = int(np.argmax(since_start < 0))
+        raise TrajectoryError(f"time_from_start of point #{k} is negative; write 0 or more")
+    return Waypoints.of(names, begin + since_start * 1.0e-9, *points.rows)
 
 
 def _check_known(names: Sequence[str], known: Sequence[str]) -> None:
@@ -147,7 +125,3 @@ def _check_known(names: Sequence[str], known: Sequence[str]) -> None:
             raise TrajectoryError(
                 f"joint {name!r} does not exist; the joints are {', '.join(known)}", ErrorCode.INVALID_JOINTS
             )
-
-
-def _nanoseconds(time: Any) -> int:
-    return int(time.sec) * 1_000_000_000 + int(time.nanosec)

@@ -14,14 +14,32 @@ from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 
 Array = NDArray[np.float64]
 
-WAYPOINTS_MAX: Final = 25_000
-"""Largest number of waypoints of a path: 250 s at 100 Hz. rclpy converts 8 us per point while nothing else runs."""
+WAYPOINTS_MAX: Final = 100_000
+"""Largest number of waypoints of a path: 1000 s at 100 Hz, planned in 1 s of processor time."""
 
 DURATION_MAX: Final = 1.0e5
 """Longest path [s]; above it, times of board and path have rounding errors of a PWM period."""
 
-Rows = Sequence[ArrayLike | None] | Array | None
-"""One row per waypoint; None if a waypoint, or all of them, do not have the quantity."""
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """One row per waypoint; a waypoint that does not have the quantity has an empty row."""
+
+    sizes: NDArray[np.int64]  # (n,), values in each row
+    values: Array  # of all rows, one after the other
+
+    @classmethod
+    def of(cls, rows: Sequence[ArrayLike | None] | Array) -> Rows:
+        """Rows of any sizes; None for an empty one."""
+        if isinstance(rows, np.ndarray):
+            table = rows.reshape(len(rows), -1)
+            return cls(np.full(len(rows), table.shape[1]), table.astype(np.float64).reshape(-1))
+        arrays = [np.asarray(() if row is None else row, dtype=np.float64).reshape(-1) for row in rows]
+        sizes = np.array([len(array) for array in arrays], dtype=np.int64)
+        return cls(sizes, np.concatenate(arrays) if arrays else np.zeros(0))
+
+
+_Table = Rows | Sequence[ArrayLike | None] | Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +58,10 @@ class Waypoints:
         cls,
         joints: Sequence[str],
         times: ArrayLike,
-        positions: Rows,
-        velocities: Rows = None,
-        accelerations: Rows = None,
-        efforts: Rows = None,
+        positions: _Table,
+        velocities: _Table | None = None,
+        accelerations: _Table | None = None,
+        efforts: _Table | None = None,
     ) -> Waypoints:
         """Check the arguments and create waypoints.
 
@@ -67,15 +85,12 @@ class Waypoints:
         count = len(instants)
         if not count:
             raise TrajectoryError("there are no waypoints; write at least one")
-        if count > WAYPOINTS_MAX:
-            raise TrajectoryError(
-                f"there are {count} waypoints, more than {WAYPOINTS_MAX}; send the path in parts or with fewer points"
-            )
+        check_count(count)
         _check_times(instants)
         tables = [
             _table(joints, count, name, rows)
             for name, rows in (
-                ("positions", [None] * count if positions is None else positions),
+                ("positions", positions),
                 ("velocities", velocities),
                 ("accelerations", accelerations),
                 ("efforts", efforts),
@@ -122,6 +137,14 @@ def _check_times(times: Array) -> None:
         raise TrajectoryError(f"the trajectory takes {duration:g} s, more than {DURATION_MAX:g} s; send it in parts")
 
 
+def check_count(count: int) -> None:
+    """Raise `TrajectoryError` for more waypoints than a path may have."""
+    if count > WAYPOINTS_MAX:
+        raise TrajectoryError(
+            f"there are {count} waypoints, more than {WAYPOINTS_MAX}; send the path in parts or with fewer points"
+        )
+
+
 def check_joints(joints: Sequence[str]) -> None:
     """Check that there are joints, without repetition.
 
@@ -137,32 +160,25 @@ def check_joints(joints: Sequence[str]) -> None:
             raise TrajectoryError(f"joint {joint} occurs twice; write each joint once", ErrorCode.INVALID_JOINTS)
 
 
-def _table(joints: Sequence[str], count: int, name: str, rows: Rows) -> Array:
+def _table(joints: Sequence[str], count: int, name: str, table: _Table | None) -> Array:
     """Rows as an array; missing rows are NaN."""
-    if rows is None:
+    if table is None:
         return np.full((count, len(joints)), np.nan)
-    if len(rows) != count:
-        raise TrajectoryError(f"there are {len(rows)} rows of {name} for {count} points; write one per point")
-    if isinstance(rows, np.ndarray):
-        table, given = np.array(rows, dtype=np.float64).reshape(count, -1), np.ones(count, dtype=bool)
-        sizes = np.full(count, table.shape[1])
-    else:
-        given = np.array([row is not None for row in rows])
-        values = [np.asarray(row, dtype=np.float64).reshape(-1) for row in rows if row is not None]
-        sizes = np.zeros(count, dtype=np.int64)
-        sizes[given] = [len(row) for row in values]
-        table = np.full((count, len(joints)), np.nan)
-        if (sizes[given] == len(joints)).all() and values:
-            table[given] = np.stack(values)
-    wrong = given & (sizes != len(joints))
+    rows = table if isinstance(table, Rows) else Rows.of(table)
+    if len(rows.sizes) != count:
+        raise TrajectoryError(f"there are {len(rows.sizes)} rows of {name} for {count} points; write one per point")
+    given = rows.sizes > 0
+    wrong = given & (rows.sizes != len(joints))
     if wrong.any():
         k = int(np.argmax(wrong))
         raise TrajectoryError(
-            f"mismatch between joint_names size ({len(joints)}) and {name} ({sizes[k]}) at point #{k}; "
+            f"mismatch between joint_names size ({len(joints)}) and {name} ({rows.sizes[k]}) at point #{k}; "
             "write one value per joint"
         )
-    infinite = given[:, None] & ~np.isfinite(table)
+    values = np.full((count, len(joints)), np.nan)
+    values[given] = rows.values.reshape(-1, len(joints))
+    infinite = given[:, None] & ~np.isfinite(values)
     if infinite.any():
         k, axis = divmod(int(np.argmax(infinite)), len(joints))
-        raise TrajectoryError(f"{name} of {joints[axis]} at point #{k} is {table[k, axis]:g}; write a finite number")
-    return table
+        raise TrajectoryError(f"{name} of {joints[axis]} at point #{k} is {values[k, axis]:g}; write a finite number")
+    return values
