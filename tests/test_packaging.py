@@ -9,7 +9,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import sysconfig
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -152,20 +151,6 @@ def test_make_without_a_target_lists_every_target() -> None:
     assert {"setup", "demo", "up", "test"} <= set(listed)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "command"),
-    [
-        (("demo",), "servo-up --demo --out out"),
-        (("up",), "servo-up"),
-        (("up", "PORT=/dev/ttyUSB0", "BAUD=1000000"), "servo-up --port '/dev/ttyUSB0' --baud '1000000'"),
-    ],
-)
-def test_make_starts_servo_up_with_its_variables(arguments: tuple[str, ...], command: str) -> None:
-    plan = run("make", "--dry-run", *arguments)
-    assert plan.returncode == 0, plan.stderr
-    assert plan.stdout.splitlines()[-1].split() == f".venv/bin/{command}".split()
-
-
 WORDS = ("o'neil.toml", "two words", 'a"b', "$HOME", "`id`", "#1", "a\\b;c")
 
 
@@ -196,17 +181,6 @@ def test_missing_tools_are_named_with_the_command_that_installs_them(tmp_path: P
     without_python = run(tmp_path / "sh", check, env={"PATH": str(tmp_path)})
     assert without_python.returncode == 1
     assert re.search(r"sudo apt-get install python3 python3-venv python3-dev\b", without_python.stderr)
-
-
-def test_required_tools_are_installed() -> None:
-    found = run("sh", ROOT / ".ci" / "check-tools")
-    assert found.returncode == 0, found.stderr
-    assert Path(found.stdout.strip()).exists()
-
-
-def test_continuous_integration_script_is_valid() -> None:
-    assert os.access(ROOT / ".ci" / "run", os.X_OK)
-    assert run("bash", "-n", ROOT / ".ci" / "run").returncode == 0
 
 
 # ---- names and versions ---------------------------------------------------------------------------------------------
@@ -291,21 +265,6 @@ def test_constraints_satisfy_every_requirement(python: str) -> None:
             continue
         assert name in pinned, f"{where} requires {name}"
         assert requirement.specifier.contains(pinned[name]), f"{where} requires {requirement}"
-
-
-def test_constraints_cover_every_installed_distribution(prefix: Path) -> None:
-    pinned = pins(f"{sys.version_info.major}.{sys.version_info.minor}")
-    ours = {canonicalize_name(package) for package in PACKAGES}
-    others = {}
-    folders = sorted({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
-    assert all(folder.startswith(str(prefix)) for folder in folders)
-    for distribution in metadata.distributions(path=folders):
-        # The ROS wheels contain the metadata of their colcon build, without an installer, in addition to their own.
-        if (distribution.read_text("INSTALLER") or "").strip() == "pip":
-            others[canonicalize_name(distribution.metadata["Name"])] = distribution.version
-    others = {name: version for name, version in others.items() if name not in ours}
-    assert len(others) > 20
-    assert {name: version for name, version in others.items() if pinned.get(name) != version} == {}
 
 
 # ---- executables ----------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from servo_bridge.freemaster.line import Line
 from servo_bridge.freemaster.tsa import TargetVariable
 from servo_bridge.wire.session import Session, connect
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.variable_table import table_rows, texts_by_address
+from servo_msgs_py.variable_table import table_rows
 
 CATALOGUE: Final = Catalogue.load()
 ROWS: Final = list(table_rows(CATALOGUE))
@@ -73,16 +73,3 @@ def test_names_are_read_from_a_board_with_another_catalogue(client: CountingClie
     assert session.mismatch is not None
     assert "has another table of variables" in session.mismatch.reason
     assert set(session.variables) >= set(CATALOGUE.variables)
-
-
-def test_texts_are_identified_by_the_addresses_of_all_rows() -> None:
-    places: list[tuple[int, int]] = []
-    address: dict[bytes, int] = {}
-    for row in ROWS:
-        for text in (row.name, row.type):
-            address.setdefault(text, 0x1000 + sum(len(known) + 1 for known in address))
-        places.append((address[row.name], address[row.type]))
-    assert texts_by_address(CATALOGUE, places) == {at: text for text, at in address.items()}
-    assert texts_by_address(CATALOGUE, places[:-1]) == {}
-    assert texts_by_address(CATALOGUE, [*places[:-1], (places[-1][0] + 1, places[-1][1])]) == {}
-    assert texts_by_address(CATALOGUE, []) == {}

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from servo_msgs_py.catalogue import Catalogue
-from targets.__main__ import main
-from targets.comparison import Expectation, Report, check
+from targets.comparison import Expectation, check
 from targets.history import MAIN_TRANSITIONS, RUN_TRANSITIONS, History, histories
 from targets.line_coverage import missed_lines
 from targets.machines import TARGETS, Target
-from targets.recording import Arithmetic, Recorder, Recording
-from targets.scenarios import SCENARIOS
+from targets.recording import Recording
 from targets.sources import Sources
 
 Needs = Callable[[Target], None]
@@ -91,13 +88,6 @@ def test_target_has_the_outputs_of_the_host(
     assert report.agrees
 
 
-def test_targets_have_different_options() -> None:
-    """Three processor families, one with a 16-bit `int`; at least three optimisations on one of them."""
-    names = [target.name for target in TARGETS]
-    assert {name.split()[0] for name in names} == {"gcc", "clang", "cortex-m3", "avr"}
-    assert sum(name.startswith("cortex-m3") for name in names) >= 3
-
-
 # ---- what the runs contain ------------------------------------------------------------------------------------------
 
 
@@ -151,62 +141,3 @@ def test_runs_reach_every_line(c_sources: Sources, expected: list[Expectation], 
 
 
 # ---- recordings -----------------------------------------------------------------------------------------------------
-
-
-def test_recording_is_reproducible(recorder: Recorder, recordings: list[Recording]) -> None:
-    """The same seed gives the same bytes and digest, another seed does not."""
-    for scenario, before in zip(SCENARIOS, recordings, strict=True):
-        again = recorder.record(scenario)
-        assert (again.image, again.digest, again.checks) == (before.image, before.digest, before.checks)
-    assert recorder.record(SCENARIOS[0], seed=2).digest != recordings[0].digest
-
-
-def test_arithmetic_is_reproducible(recorder: Recorder, arithmetic: Arithmetic) -> None:
-    assert recorder.arithmetic() == arithmetic
-    assert recorder.arithmetic(seed=2).digest != arithmetic.digest
-    assert len(set(arithmetic.checks)) == len(arithmetic.groups)
-
-
-# ---- the command ----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def recorded_before(monkeypatch: pytest.MonkeyPatch, recorder: Recorder) -> None:
-    """Replace the build of the recorder in the command."""
-    monkeypatch.setattr("targets.__main__.Recorder", lambda sources, folder: recorder)
-
-
-@pytest.mark.usefixtures("recorded_before")
-def test_command_prints_one_line_per_target(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It prints a line for targets with missing tools, too."""
-    which = shutil.which
-    monkeypatch.setattr("targets.toolchain.shutil.which", lambda name: None if "avr" in name else which(name))
-    assert main(["--target", "avr -Os", "--target", "gcc -O0", "--target", "gcc -O3", "--scenario", "server"]) == 0
-    recorded, *targets, missing, summary = capsys.readouterr().out.splitlines()
-    digest = recorded.split()[4]
-    assert [line.split()[:3] for line in targets] == [["gcc", "-O0", digest], ["gcc", "-O3", digest]]
-    assert missing.split(maxsplit=3)[:3] == ["avr", "-Os", "skipped"]
-    assert missing.endswith("sudo apt-get install gcc-avr avr-libc libsimavr-dev")
-    assert summary == "2 targets agree with the recording; 1 skipped"
-
-
-@pytest.mark.usefixtures("recorded_before")
-def test_command_fails_without_all_tools_if_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("targets.toolchain.shutil.which", lambda name: None)
-    arguments = ["--target", "avr -Os", "--scenario", "server"]
-    assert main(arguments) == 0
-    assert main([*arguments, "--all"]) == 1
-
-
-@pytest.mark.usefixtures("recorded_before")
-def test_command_fails_if_a_target_differs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    report = Report(TARGETS[0], 0x1234ABCD, 0x1234ABCD, 1.0, ("server: period 3",))
-    monkeypatch.setattr("targets.__main__.check", lambda *_: iter([report]))
-    assert main(["--target", TARGETS[0].name, "--scenario", "server"]) == 1
-    _, line, problem, summary = capsys.readouterr().out.splitlines()
-    assert line.split()[2] == "1234ABCD"
-    assert line.endswith("DIFFERS")
-    assert problem.strip() == "server: period 3"
-    assert summary == "1 targets do not all agree with the recording"

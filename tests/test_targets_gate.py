@@ -7,13 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from targets.calls import Call, parse_console, parse_log
 from targets.casts import removals, verdict
 from targets.comparison import Expectation, check, combined, first_difference
-from targets.machines import TARGETS, Avr, AvrProgram, Host, Target
-from targets.recording import Arithmetic, Recorder, Recording
+from targets.machines import Avr, AvrProgram, Host, Target
+from targets.recording import Recorder, Recording
 from targets.sources import Sources
-from targets.toolchain import TargetError
 
 pytestmark = pytest.mark.slow
 
@@ -84,21 +82,6 @@ def test_missing_cast_is_detected(
     assert seen != "the same machine code"
 
 
-def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
-    file = tmp_path / "firmware" / "math" / "one.c"
-    file.parent.mkdir(parents=True)
-    file.write_text(
-        "int32_t f(int16_t a); /* (int32_t)a */\n"
-        'int32_t f(int16_t a) { g("(int32_t)a"); return (int32_t)a << INT16_C(2); }\n',
-        encoding="utf-8",
-    )
-    found = list(removals(Sources(tmp_path), ["math"]))
-    assert [(one.line, one.removed, one.rest) for one in found] == [(2, "(int32_t)", ""), (2, "INT16_C(2)", "2")]
-    text = file.read_text(encoding="utf-8")
-    cuts = [text[: one.start] + one.rest + text[one.end :] for one in found]
-    assert [cut.splitlines()[1].split("return ")[1] for cut in cuts] == ["a << INT16_C(2); }", "(int32_t)a << 2; }"]
-
-
 # ---- other mistakes -------------------------------------------------------------------------------------------------
 
 
@@ -134,66 +117,3 @@ def test_first_difference_is_named(
     assert report.digest != combined([recordings[0].digest])
     (problem,) = report.problems
     assert re.fullmatch(f"{recordings[0].name}: {expected}", problem), problem
-
-
-def test_sanitizers_detect_an_overflow(
-    c_sources: Sources, arithmetic: Arithmetic, needs: Needs, tmp_path: Path
-) -> None:
-    """The digest may be right although the behaviour is undefined."""
-    sanitized = next(target for target in TARGETS if "sanitizers" in target.name)
-    needs(sanitized)
-    sources = edited(c_sources, tmp_path, "sensing/mt_speed.c", "UINT32_C(0) - (uint32_t)speed", "(uint32_t)(-speed)")
-    plain, checked = check([HOST, sanitized], [arithmetic], sources, tmp_path / "build")
-    assert plain.problems == ()
-    assert "negation of -2147483648 cannot be represented" in "\n".join(checked.problems)
-
-
-def test_truncated_output_is_an_error() -> None:
-    with pytest.raises(ValueError, match="did not terminate normally"):
-        parse_console("=12345678\n")
-    assert parse_console("=12345678\nend 9ABCDEF0\n").digest == 0x9ABCDEF0
-
-
-def test_compiler_error_is_reported(c_sources: Sources, recordings: list[Recording], tmp_path: Path) -> None:
-    sources = edited(c_sources, tmp_path, "drive/axis.c", "#define U_DC_FILTER_SHIFT 4", "#define U_DC_FILTER_SHIFT")
-    (report,) = check([HOST], recordings[:1], sources, tmp_path / "build")
-    assert report.digest is None
-    assert report.problems[0].startswith("does not build: gcc ended with status 1")
-
-
-def test_recorder_wraps_every_function_of_the_board(c_sources: Sources, tmp_path: Path) -> None:
-    """Functions that are not recorded could not be replayed."""
-    sources = edited(
-        c_sources,
-        tmp_path / "copy",
-        "hal/hal.h",
-        "void hal_watchdog_service(hal_t *hal);",
-        "void hal_watchdog_service(hal_t *hal);\nvoid hal_new(hal_t *hal);",
-    )
-    axis = sources.firmware / "drive" / "axis.c"
-    text = axis.read_text(encoding="utf-8")
-    axis.write_text(
-        text.replace("    filter_bus(axis);\n", "    filter_bus(axis);\n    hal_new(axis->hal);\n", 1), "utf-8"
-    )
-    with pytest.raises(TargetError, match="__wrap_hal_new"):
-        Recorder(sources, tmp_path)
-
-
-# ---- the recorder's log ---------------------------------------------------------------------------------------------
-
-
-def test_log_and_console_agree(c_sources: Sources, recordings: list[Recording], tmp_path: Path) -> None:
-    """The recorder stores each call as a replay prints it."""
-    recording = by_name(recordings, "server")
-    program = HOST.build(c_sources, tmp_path)
-    calls = parse_console(program.run(recording.printing(0, recording.periods))).calls
-    assert list(calls) == recording.calls()
-    assert any(call.snapshot for call in calls)
-
-
-def test_log_contains_several_calls() -> None:
-    words = [7, 1, 1, 0, 2, 0x0101, 0xFFFF, 1, 5, 0x5678, 0x1234, 8, 1, 4, 1, 0, 0]
-    first, second = parse_log(words)
-    assert first == Call(0x10007, 1, 0, 0, 0, (0x0101, 0xFFFF), ((5, 0x12345678),))
-    assert second == Call(0x10008, 4, 1, 0, 0, ())
-    assert (first.place, second.place) == ("period 65543 (4096.44 ms), m1", "period 65544 (4096.50 ms), edge of axis2")

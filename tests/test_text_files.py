@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -106,15 +105,3 @@ def test_any_bytes_are_text_or_refused(data: bytes) -> None:
 def test_deep_nesting_is_refused(parse: Callable[[str], object]) -> None:
     with pytest.raises(TextFileError, match="too many nested brackets"):
         parse(f"{'a = ' if parse is parse_toml else ''}{'[' * 100_000}")
-
-
-def test_there_is_one_reader_of_toml() -> None:
-    """The build of the extension needs its own: it runs before the packages are installed."""
-    permitted = {"text_file.py", "_core_time.py"}
-    found = {
-        path.name
-        for package in ("servo_msgs_py", "servo_bridge", "servo_twin")
-        for path in (ROOT / package / package).rglob("*.py")
-        if re.search(r"\btoml(i|lib)\b", path.read_text(encoding="utf-8"))
-    }
-    assert found == permitted

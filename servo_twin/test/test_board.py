@@ -293,16 +293,6 @@ class TestLife:
 
 
 class TestBuildScript:
-    def test_declarations_are_read_without_their_comments(self) -> None:
-        text = "int a;\n/* CFFI-BEGIN: here */\nint b; /* why\n more */\n/* CFFI-END */\nint c;\n"
-        assert _build_native.declarations(text).split() == ["int", "b;"]
-        with pytest.raises(ValueError, match="CFFI-BEGIN"):
-            _build_native.declarations("int a;")
-
     def test_missing_firmware_gives_a_message(self, tmp_path_factory: pytest.TempPathFactory) -> None:
         with pytest.raises(FileNotFoundError, match="checkout of the whole repository"):
             _build_native.firmware_sources(tmp_path_factory.mktemp("alone") / "firmware")
-
-    def test_every_module_of_the_firmware_is_found(self) -> None:
-        folders = {path.parent.name for path in _build_native.firmware_sources()}
-        assert folders == set(_build_native.FIRMWARE_FOLDERS)

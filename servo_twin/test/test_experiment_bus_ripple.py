@@ -27,11 +27,6 @@ def test_missing_compensation_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
     }
 
 
-def test_steady_bus_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_ripple, "DISCHARGE_FRACTION", 1e3)
-    assert not bus_ripple.run(PlantConfig.load(), seed=9).row("axis1, ripple of the bus").agrees
-
-
 def test_the_amplitude_at_one_frequency_is_found() -> None:
     time = TICK * np.arange(1000)
     signal = 7.0 + 0.25 * np.sin(2.0 * np.pi * 100.0 * time + 1.0) + 0.5 * np.sin(2.0 * np.pi * 50.0 * time)

@@ -45,13 +45,6 @@ def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) ->
     assert len(wrong(seed=1)) == 6
 
 
-def test_wrong_nominal_value_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice the friction, with bounds for the nominal value."""
-    monkeypatch.setattr(friction, "TIMES", (2.0,))
-    monkeypatch.setattr(friction, "uncompensated", lambda times: 0.0)
-    assert len(wrong()) == 6
-
-
 @pytest.mark.parametrize(("times", "expected"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
 def test_uncompensated_friction_is_calculated(times: float, expected: float) -> None:
     assert friction.uncompensated(times) == pytest.approx(expected)

@@ -36,13 +36,6 @@ def test_ramp_is_not_an_s_curve(recorded: tuple[AxisTrace, float, int]) -> None:
     assert "largest jump of the S curve's speed per slow loop" in wrong(recorded, np.round(ramp))
 
 
-def test_low_damping_violates_the_bounds(recorded: tuple[AxisTrace, float, int]) -> None:
-    recording, speed, distance = recorded
-    swing = 0.02 * distance * np.sin(np.pi * np.clip((recording.time - distance / speed) / 0.4, 0.0, 1.0))
-    names = wrong(recorded, np.round(recording.position_ref + swing))
-    assert {"overshoot of the S curve", "steps backwards", "deviation of the S curve from E38"} <= names
-
-
 @pytest.mark.parametrize("omega_n", [30.0, 100.0, 250.0])
 def test_the_bandwidth_of_a_path_is_recovered(omega_n: float) -> None:
     time = TICK * np.arange(2000, dtype=np.float64)

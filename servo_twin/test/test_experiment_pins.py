@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -14,12 +12,6 @@ from servo_twin.validation.experiments import pins
 def test_every_figure_is_within_its_bound() -> None:
     """At level registers this includes the computing time at the end of two rotor searches in the same tick."""
     assert {row.name for row in pins.run(PlantConfig.load(), seed=2).rows if not row.agrees} == set()
-
-
-def test_load_without_a_brake_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pins, "BRAKE", 0.0)
-    with pytest.raises(SimulationError, match="after the search"):
-        pins.measure_drops(PlantConfig.load(), 2, 1.0)
 
 
 def test_unconfigured_pins_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -33,10 +25,3 @@ def test_unconfigured_pins_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -
     results = pins.cut_wires(plant, 2)
     assert not results["limit_max, holding"]
     assert not results["enable, at rest: refused without a fault"]
-
-
-def test_load_drops_with_a_brake_slower_than_nominal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The configured waiting time of 30 ms is too short for a brake that takes 90 ms."""
-    monkeypatch.setattr(pins, "CLOSE_TIME", 0.09)
-    found = pins.measure_drops(PlantConfig.load(), 2, math.pi / 3)
-    assert min(disabled for _, _, disabled, _ in found.drops) > pins.TRANSFER_DROP_MAX

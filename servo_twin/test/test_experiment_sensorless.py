@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.plant import PlantConfig
-from servo_twin.runner import HERE, Runner
+from servo_twin.runner import HERE
 from servo_twin.validation.experiments import minimum_speed, observer, sensorless_load_step, sensorless_stall, start_up
-from servo_twin.validation.experiments.observer import Point
 from servo_twin.validation.experiments.outcome import Outcome
 from servo_twin.validation.experiments.rig import TICK
 from servo_twin.validation.experiments.sensorless import Trace, degrees
 from servo_twin.validation.experiments.sensorless_stall import variance_detection_time
 from servo_twin.validation.experiments.start_up import CRITERION_MAX, draws, examine, many
-
-from servo_twin import cli
 
 PLANT = PlantConfig.load()
 SEED = 4
@@ -60,27 +57,6 @@ def short_observer(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_observer_agrees_with_the_reference_design(short_observer: None) -> None:
     assert wrong(run(observer)) == []
-
-
-def test_errors_and_missing_compensation_violate_the_bounds(
-    short_observer: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    genuine = observer.measure
-
-    def shifted(*args: Any) -> dict[tuple[float, float], Point]:
-        return {k: dataclasses.replace(p, mean=p.mean + 17.0) for k, p in genuine(*args).items()}
-
-    monkeypatch.setattr(observer, "measure", shifted)
-    monkeypatch.setattr(observer, "theoretical_error", lambda *_: 0.0)
-    slow = (1.0 / 15.0,)
-
-    def uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
-        return genuine(plant, seed, axis, slow, (0.5,))[slow[0], 0.5]
-
-    monkeypatch.setattr(observer, "_uncompensated", uncompensated)
-    names = wrong(run(observer))
-    assert any("largest mean error" in name for name in names)
-    assert any("amplitude without / with compensation" in name for name in names)
 
 
 def test_angle_error_by_calculation() -> None:
@@ -134,19 +110,6 @@ def test_times_are_relative_to_the_start_up() -> None:
     assert examine(trace(np.zeros(160), substate=np.where(substates == 3, 5, substates)), 5, 3).end == "no closed loop"
 
 
-@pytest.mark.parametrize(("words", "count"), [([], start_up.STARTS), (["--count", "3"], 3)])
-def test_number_of_starts_is_an_option(monkeypatch: pytest.MonkeyPatch, words: list[str], count: int) -> None:
-    counts: list[int] = []
-
-    def counted(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[start_up.Start]:
-        counts.append(count)
-        return [start_up.Start(0.1, 0.1, "")]
-
-    monkeypatch.setattr(start_up, "many", counted)
-    assert cli.main(["experiment", "start-up", "--level", "ideal", *words]) == 0
-    assert counts == [count]
-
-
 # ---- minimum speed --------------------------------------------------------------------------------------------------
 
 
@@ -156,12 +119,6 @@ def test_minimum_speed_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     outcome = run(minimum_speed)
     assert wrong(outcome) == []
     assert outcome.row("axis1, load 25 %, lowest speed").measured == pytest.approx(5.0)
-
-
-def test_high_speed_violates_the_bounds_of_the_minimum_speed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(minimum_speed, "LOADS", (0.0,))
-    monkeypatch.setattr(minimum_speed, "STEPS", (0.3, 0.1))
-    assert wrong(run(minimum_speed)) == ["axis1, no load, lowest speed", "axis2, no load, lowest speed"]
 
 
 # ---- load step ------------------------------------------------------------------------------------------------------

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig, soft_limits
 
@@ -25,20 +23,3 @@ def test_disabled_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> 
             assert f"axis1, position, {mode} mode: {what}" in names
     assert "axis1, position, load towards the limit: overtravel with the feature" in names
     assert "axis1, limit set behind the shaft, target further outside: motion" in names
-
-
-def test_unwritten_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    genuine = rig.set_axis
-
-    def set_axis(board: Board, name: str, axis: int, value: float) -> None:
-        if name not in {"param.speed_limit", "param.i_q_limit"}:
-            genuine(board, name, axis, value)
-
-    monkeypatch.setattr(rig, "set_axis", set_axis)
-    plant = PlantConfig.load()
-    for mode in ("SPEED", "TORQUE"):
-        for run in soft_limits.run_to_speed_limit(plant, 6, mode, soft_limits.SPEED_LIMIT):
-            assert np.abs(run.out.omega).max() > soft_limits.SPEED_MAX * soft_limits.SPEED_LIMIT
-    for run in soft_limits.run_to_current_limit(plant, 6, soft_limits.CURRENT_LIMIT):
-        assert np.abs(run.out.i_q_true).max() > soft_limits.CURRENT_MAX * soft_limits.CURRENT_LIMIT
-        assert run.reported == 0.0

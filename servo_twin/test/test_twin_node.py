@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -32,8 +31,8 @@ from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.parameters import ParameterError
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.fault_injection import HotPowerStage, SlippedEncoder
-from servo_twin.node import PARAMETERS, ServoTwin, main
+from servo_twin.fault_injection import SlippedEncoder
+from servo_twin.node import ServoTwin, main
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 from twin_rig import CATALOGUE, EPOCH_NS, TwinRig
@@ -43,8 +42,6 @@ from servo_msgs_py import topics
 pytestmark = pytest.mark.realtime
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() % 100
-CONFIG = Path(__file__).resolve().parents[1] / "config" / "servo_twin.yaml"
-SERVO_TOML = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
 BATCH = 5  # samples in a message, as the bridge sends them
 
 
@@ -323,17 +320,6 @@ def test_a_board_in_fault_makes_the_twin_unhealthy_until_the_fault_is_cleared(
     assert f"not healthy: {named}" in reported[0]
 
 
-def test_a_fault_older_than_the_twin_is_reported(rig: Rig, capfd: pytest.CaptureFixture[str]) -> None:
-    """The fault is set on both boards, so the boards agree."""
-    rig.board.board.inject(HotPowerStage(1, 200.0))
-    rig.board.run(0.3)
-    assert rig.board.label(1) == "FAULT"
-    named = "axis2 of the board is in FAULT (OVER_TEMPERATURE: "
-    rig.until(lambda: any(text.startswith(named) for text in rig.comparison_messages()))
-    assert not any(m.data for m in rig.messages["/twin/healthy"])
-    assert len([line for line in capfd.readouterr().err.splitlines() if "not healthy: axis2 of the" in line]) == 1
-
-
 def test_tolerances_are_parameters() -> None:
     with Rig(position_tolerance=1e-4, unhealthy_after=0.0, healthy_after=0.0) as rig:
         rig.board.run(0.1)
@@ -392,32 +378,6 @@ def test_resync_service_answers_at_once(rig: Rig) -> None:
 
 
 OTHERS = ("param.features[0]=SPEED_FORWARD+ANTI_WINDUP", "param.speed_limit=60,90", "param.i_q_limit=2.0,2.5")
-
-
-def test_twin_has_the_parameters_of_the_board(rig: Rig) -> None:
-    rig.board.set_parameters(*OTHERS)
-    rig.board.run(0.7)
-    rig.until(lambda: rig.last("/twin/healthy"))
-    rig.board.enable_axes()
-    known = len(rig.messages["/twin/residual"])
-    rig.board.move([5.0, -5.0])
-    rig.caught_up()
-    rig.until(lambda: len(rig.messages["/twin/residual"]) > known + 50)
-    assert max(max(map(abs, m.position)) for m in rig.messages["/twin/residual"][known:]) < 0.03
-    rig.until(lambda: rig.status("comparison").values)
-    assert {v.key: v.value for v in rig.status("comparison").values}["parameters"] == "those of the board"
-
-
-def test_twin_has_the_configuration_that_the_bridge_reads_from_the_board(
-    rig: Rig, capfd: pytest.CaptureFixture[str]
-) -> None:
-    rig.board.run(0.3)
-    rig.caught_up()
-    rig.tuning.publish(String(data="not TOML ["))
-    rig.until(lambda: "invalid configuration of the board" in capfd.readouterr().err)
-    text = SERVO_TOML.read_text(encoding="utf-8")
-    rig.tuning.publish(String(data=text.replace("position_gain     = 60.0", "position_gain = 50.0")))
-    rig.until(lambda: "changed configuration of the board" in rig.last("/twin/state"))
 
 
 def test_nothing_is_compared_before_the_configuration_of_the_board_is_known() -> None:
@@ -480,9 +440,3 @@ def test_main_reports_an_invalid_parameter_in_one_line(capfd: pytest.CaptureFixt
     error = capfd.readouterr().err
     assert "servo_twin: parameter plant" in error
     assert "Traceback" not in error
-
-
-def test_packaged_yaml_can_be_loaded() -> None:
-    with Rig(cli_args=["--ros-args", "--params-file", str(CONFIG)]) as rig:
-        for name, parameter in PARAMETERS.items():
-            assert rig.node.get_parameter(name).value == parameter.default
