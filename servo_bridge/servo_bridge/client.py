@@ -1,4 +1,8 @@
-"""Node of a program that sends commands to a servo and waits for their effect."""
+"""Node of a program that sends commands to a servo and waits for their effect.
+
+Commands have a ticket, which the bridge answers, and a path has a lease, which every step of the program renews: when
+the program ends in any way or is suspended, the joints stop, see `servo_msgs_py.answers`.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,27 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
+from sensor_msgs.msg import JointState
+from servo_msgs_py.answers import LEASE_PERIOD, Answer, Phase, answer_from_message, new_ticket
 from servo_msgs_py.runtime.program import Stop, deferred
+from servo_msgs_py.runtime.qos import answers_qos, command_qos
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from servo_msgs_py import topics
 
 STEP: Final = 0.02  # longest period of the check of a condition [s]
+_AGAIN: Final = 0.5
+"""Time after which a command without an answer is repeated: it may have met no subscriber [s]."""
+
+
+class CommandError(RuntimeError):
+    """The command had no effect, or not the whole effect; the text has the reason and a remedy."""
 
 
 class Session:
@@ -71,6 +89,7 @@ class Client(Node):
         super().__init__(name)
         self._session = session
         self._namespace = namespace
+        self._commands: Commands | None = None
         session.executor.add_node(self)
 
     def __enter__(self) -> Any:
@@ -84,8 +103,15 @@ class Client(Node):
         """Name of a topic or service of the servo."""
         return f"{self._namespace}/{name}"
 
+    @property
+    def commands(self) -> Commands:
+        """Sender of the commands; its topics exist from the first use on."""
+        if self._commands is None:
+            self._commands = Commands(self)
+        return self._commands
+
     def step(self) -> None:
-        """Execute one callback or wait shortly.
+        """Execute one callback or wait shortly, and renew the leases.
 
         Raises
         ------
@@ -94,6 +120,8 @@ class Client(Node):
         """
         self._session.stop.check()
         self._session.executor.spin_once(timeout_sec=STEP)
+        if self._commands is not None:
+            self._commands.renew()
 
     def holds(self, condition: Callable[[], object], timeout: float) -> bool:
         """Wait until the condition holds or for the timeout [s]; returns whether it holds."""
@@ -103,3 +131,99 @@ class Client(Node):
                 return False
             self.step()
         return True
+
+
+class Commands:
+    """Set-points and paths with tickets.
+
+    Parameters
+    ----------
+    client : Client
+        Sender.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._answers: dict[str, Answer] = {}  # newest, by ticket
+        self._paths: list[str] = []  # tickets of paths that may not have ended
+        self._renewed = 0.0  # steady time [s]
+        self.sent = False  # whether a joint may be in motion for this program
+        of, qos = client.of, command_qos()
+        client.create_subscription(DiagnosticStatus, of(topics.ANSWERS), self._on_answer, answers_qos())
+        self._publishers = {
+            JointState: client.create_publisher(JointState, of(topics.JOINT_COMMANDS), qos),
+            JointTrajectory: client.create_publisher(JointTrajectory, of(topics.JOINT_TRAJECTORY), qos),
+        }
+        self._leases = client.create_publisher(String, of(topics.LEASES), qos)
+
+    def missing(self) -> list[str]:
+        """Topics on which nobody listens yet."""
+        publishers = (*self._publishers.values(), self._leases)
+        return [each.topic_name for each in publishers if not each.get_subscription_count()]
+
+    def publish(self, message: JointState | JointTrajectory) -> str:
+        """Publish a command once; returns its ticket."""
+        ticket = message.header.frame_id = new_ticket(self._client.get_name())
+        self.sent = True
+        self._publishers[type(message)].publish(message)
+        if isinstance(message, JointTrajectory):
+            self._paths.append(ticket)
+        return ticket
+
+    def send(self, message: JointState | JointTrajectory, timeout: float) -> str:
+        """Publish a command until it is answered; returns its ticket.
+
+        Raises
+        ------
+        CommandError
+            If it is refused, or not answered within the timeout [s].
+        """
+        deadline = time.monotonic() + timeout
+        if not self._client.holds(lambda: not self.missing(), timeout):
+            raise CommandError(f"no subscriber on {', '.join(self.missing())} within {timeout:g} s; start the bridge")
+        ticket = self.publish(message)
+        again = time.monotonic() + _AGAIN
+        while ticket not in self._answers:
+            now = time.monotonic()
+            if now >= deadline:
+                raise CommandError(f"no answer of the bridge to the command within {timeout:g} s")
+            if now >= again:
+                again = now + _AGAIN
+                self._publishers[type(message)].publish(message)
+            self._client.step()
+        self.answer(ticket)
+        return ticket
+
+    def repeat(self, message: JointState | JointTrajectory) -> None:
+        """Publish a command again, with its ticket."""
+        self._publishers[type(message)].publish(message)
+
+    def answer(self, ticket: str) -> Answer | None:
+        """Newest answer to a command; None: not answered.
+
+        Raises
+        ------
+        CommandError
+            If it was refused or aborted.
+        """
+        answer = self._answers.get(ticket)
+        if answer is not None and answer.phase is Phase.REFUSED:
+            raise CommandError(f"refused, no motion: {answer.text}")
+        if answer is not None and answer.phase is Phase.ABORTED:
+            raise CommandError(f"stopped before the end: {answer.text}")
+        return answer
+
+    def renew(self) -> None:
+        """Renew the leases of the paths that have not ended, if it is time."""
+        now = time.monotonic()
+        if not self._paths or now < self._renewed + LEASE_PERIOD:
+            return
+        self._renewed = now
+        answers = self._answers
+        self._paths = [ticket for ticket in self._paths if ticket not in answers or not answers[ticket].phase.final]
+        for ticket in self._paths:
+            self._leases.publish(String(data=ticket))
+
+    def _on_answer(self, message: DiagnosticStatus) -> None:
+        answer = answer_from_message(message)
+        self._answers[answer.ticket] = answer

@@ -19,7 +19,7 @@ from servo_msgs_py.value_text import value_text
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from servo_bridge.client import Client, Session
+from servo_bridge.client import Client, CommandError, Session
 from servo_msgs_py import topics
 
 _BRIDGE: Final = "servo_bridge"  # name of the bridge node
@@ -30,10 +30,6 @@ _DIAGNOSTICS: Final = 2.5  # timeout; the period is 1 s [s]
 _HOME_POSITIONS: Final = "home_positions"  # parameter of the bridge
 _HOMING: Final = 600.0  # timeout of a homing [s]
 _ERROR: Final = (DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
-
-
-class CommandError(RuntimeError):
-    """The command had no effect, or not the whole effect; the text has the reason and a remedy."""
 
 
 class Commander(Client):

@@ -24,8 +24,8 @@ from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.runtime.program import complain, program
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
-from servo_bridge.client import ros_session
-from servo_bridge.demo_client import DemoError, ServoClient
+from servo_bridge.client import CommandError, ros_session
+from servo_bridge.demo_client import ServoClient
 from servo_bridge.demo_report import PathRow, Residual, Row, passed, path_table, report, table
 from servo_bridge.move_metrics import measure_move, rms
 from servo_bridge.path_metrics import measure_path
@@ -89,16 +89,16 @@ class Demo:
         self._info("waiting for the servo ...")
         if not self._progresses(lambda: not client.missing(), lambda: len(client.missing()), timeout):
             state = f"; state: {client.state}" if client.state else ""
-            raise DemoError(
+            raise CommandError(
                 f"no servo within {timeout:g} s{state}; missing: {', '.join(client.missing())}. Start the servo first: "
                 "`make up`, or `servo_bridge --ros-args -p port:=/dev/ttyUSB0` for a board; ROS_DOMAIN_ID must be the "
                 "same for both"
             )
         if require_twin and not self._progresses(lambda: client.residual_after(0), lambda: client.twin_state, timeout):
             state = f"its state is {client.twin_state}" if client.twin_state else "there is no topic with its state"
-            raise DemoError(f"no residuals of a twin within {timeout:g} s of board time: {state}; see its log")
+            raise CommandError(f"no residuals of a twin within {timeout:g} s of board time: {state}; see its log")
         if client.geared:
-            raise DemoError(
+            raise CommandError(
                 f"{', '.join(client.geared)} has a gear ratio, a direction or an offset; the demonstration turns "
                 "the motor shafts by several revolutions; use the default gear_ratio, direction and offset"
             )
@@ -130,7 +130,7 @@ class Demo:
         self._info("enabling again ..." if self._base else "enabling: rotor search ...")
         self._client.enable(True)
         if not self._watch_states(lambda: all(self._is_spinning(axis) for axis in self._axes), 15.0):
-            raise DemoError(f"the axes did not reach RUN/SPIN within 15 s; state: {self._client.state}")
+            raise CommandError(f"the axes did not reach RUN/SPIN within 15 s; state: {self._client.state}")
         if not self._base:
             # Nearest whole turn: close to the shafts, and easy to read in the table.
             self._base = [round(self._position(axis) / TURN) * TURN for axis in self._axes]
@@ -151,7 +151,7 @@ class Demo:
         self._client.enable(False)
         off = self._client.wait_for(lambda: "RUN" not in self._client.state, 10.0)
         if not off:
-            raise DemoError(f"the outputs are not off 10 s after disable: {self._client.state}")
+            raise CommandError(f"the outputs are not off 10 s after disable: {self._client.state}")
         self._info(f"disabled: {self._client.state}")
 
     # ---- moves
@@ -185,7 +185,7 @@ class Demo:
             self._info("  (the twin stops after its own ramp, then takes the position of the board)")
         for axis, value in turns.items():
             if abs(hold_point(axis) - self._target(axis, value)) < _REACHED:
-                raise DemoError(
+                raise CommandError(
                     f"{title}: {self._client.joints[axis]} continued to its target; quick_stop had no effect"
                 )
 
@@ -199,7 +199,7 @@ class Demo:
                 self._info(f"  the points did not reach the board in time: {error}")
                 _, tick = self._command(dict.fromkeys(self._axes, 0.0))
                 self._wait_at_base(tick, "return")
-        raise DemoError(f"{title}: the axes did not follow; see the log of servo_bridge")
+        raise CommandError(f"{title}: the axes did not follow; see the log of servo_bridge")
 
     def _follow_and_measure(self, title: str, slower: int) -> None:
         """Follow the path at a fraction of its speed; ValueError if the board has not received it completely."""
@@ -232,10 +232,10 @@ class Demo:
             self._client.follow(path, start_ns)
             try:
                 return start_ns, start, self._applied_since(known, "cmd.points")
-            except DemoError as error:
+            except CommandError as error:
                 # Points that arrive too late (busy computer) are refused as a whole; nothing moves.
                 self._info(f"  {error}")
-        raise DemoError(f"the path was not accepted in {_ATTEMPTS} attempts; see the log of servo_bridge")
+        raise CommandError(f"the path was not accepted in {_ATTEMPTS} attempts; see the log of servo_bridge")
 
     def _announce(self, title: str, turns: Mapping[int, float]) -> None:
         parts = (f"{self._client.joints[axis]} to {value:+g} turns" for axis, value in turns.items())
@@ -262,17 +262,18 @@ class Demo:
         client = self._client
 
         def found() -> bool:
+            client.check()
             return any(a.variable == variable for a in client.applied[known:])
 
         if not client.wait_for(found, _APPLY_TIMEOUT):
-            raise DemoError(f"no {variable} took effect within {_APPLY_TIMEOUT:g} s; see the log of servo_bridge")
+            raise CommandError(f"no {variable} took effect within {_APPLY_TIMEOUT:g} s; see the log of servo_bridge")
         return next(a.tick for a in client.applied[known:] if a.variable == variable)
 
     def _wait(self, condition: Callable[[], bool], name: str, planned: float = 0.0) -> None:
         """Wait for the condition; after a timeout the table shows the move as not reached."""
         done = self._client.wait_for(lambda: condition() or self._faulted(), planned + self._timeout)
         if self._faulted():
-            raise DemoError(f"{name}: {self._fault_text()}")
+            raise CommandError(f"{name}: {self._fault_text()}")
         if not done:
             self._info(f"  {name}: not finished after {self._timeout:g} s")
 
@@ -342,7 +343,7 @@ class Demo:
 
         done = self._client.wait_for(sample, timeout)
         if self._faulted():
-            raise DemoError(self._fault_text())
+            raise CommandError(self._fault_text())
         return done
 
     def _faulted(self) -> bool:
@@ -397,11 +398,11 @@ def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
         try:
             demo.enable()
             demo.run()
-        except DemoError as error:
+        except CommandError as error:
             trouble = str(error)
         finally:
             demo.disable()
-    except DemoError as error:
+    except CommandError as error:
         trouble = trouble or str(error)
     figures = report(demo.rows, demo.paths, tolerance_counts=arguments.tolerance, twin=demo.twin, speed=demo.speed)
     figures["trouble"] = trouble or None
@@ -452,7 +453,7 @@ def main(args: Sequence[str] | None = None) -> int:
         # A signal disables the axes before the end.
         with ros_session(argv) as session, ServoClient(session, arguments.servo, arguments.twin) as client:
             return _perform(client, arguments)
-    except (DemoError, ExternalShutdownException, ROSInterruptException) as error:
+    except (CommandError, ExternalShutdownException, ROSInterruptException) as error:
         complain(f"servo-demo: {error}")
         return 2
 

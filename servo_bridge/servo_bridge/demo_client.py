@@ -11,23 +11,18 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table, to_stamp
 from servo_msgs_py.robot_description import joints_of
-from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
+from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
-from std_msgs.msg import Float64, Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
-from servo_bridge.client import STEP, Client, Session
+from servo_bridge.client import STEP, Client, CommandError, Session
 from servo_bridge.command_paths import path_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
 _ANSWER: Final = 5.0  # timeout of a service [s of board time]
 _SILENCE: Final = 10.0  # without telemetry after which every wait ends [s of this process]
-
-
-class DemoError(RuntimeError):
-    """The demonstration cannot continue; the text has the reason and a remedy."""
 
 
 class ServoClient(Client):
@@ -61,9 +56,7 @@ class ServoClient(Client):
         self.create_subscription(String, f"{twin}/{topics.STATE}", self._on_twin_state, latched_qos())
         self._description = self.of(topics.ROBOT_DESCRIPTION)
         self.create_subscription(String, self._description, self._on_description, latched_qos())
-        self._commands = self.create_publisher(JointState, self.of(topics.JOINT_COMMANDS), command_qos())
-        self._paths = self.create_publisher(JointTrajectory, self.of(topics.JOINT_TRAJECTORY), command_qos())
-        self._single: dict[str, Any] = {}
+        self._ticket = ""  # of the newest command
         self._enable = self.create_client(SetBool, self.of(topics.ENABLE))
         self._quick_stop = self.create_client(Trigger, self.of(topics.QUICK_STOP))
 
@@ -102,11 +95,8 @@ class ServoClient(Client):
             topics.ROBOT_DESCRIPTION: self.geared is not None,
             topics.ENABLE: self._enable.service_is_ready(),
             topics.QUICK_STOP: self._quick_stop.service_is_ready(),
-            topics.JOINT_COMMANDS: self._commands.get_subscription_count(),
-            topics.JOINT_TRAJECTORY: self._paths.get_subscription_count(),
         }
-        single = {topics.joint_position_topic(joint): p.get_subscription_count() for joint, p in self._single.items()}
-        return [name for name, there in {**connected, **single}.items() if not there]
+        return [*(name for name, there in connected.items() if not there), *self.commands.missing()]
 
     @property
     def twin_present(self) -> bool:
@@ -115,35 +105,35 @@ class ServoClient(Client):
 
     # ---- commands
     def enable(self, on: bool) -> None:
-        """Call ``enable``; raises `DemoError` with the reason if it is refused."""
+        """Call ``enable``; raises `CommandError` with the reason if it is refused."""
         self._call(self._enable, SetBool.Request(data=on), topics.ENABLE)
 
     def quick_stop(self) -> None:
-        """Call ``quick_stop``; raises `DemoError` with the reason if it is refused."""
+        """Call ``quick_stop``; raises `CommandError` with the reason if it is refused."""
         self._call(self._quick_stop, Trigger.Request(), topics.QUICK_STOP)
 
     def _call(self, client: Any, request: Any, name: str) -> None:
         future = client.call_async(request)
         if not self.wait_for(future.done, _ANSWER):
-            raise DemoError(f"the service {self.of(name)} does not respond; see the log of servo_bridge")
+            raise CommandError(f"the service {self.of(name)} does not respond; see the log of servo_bridge")
         response = future.result()
         if not response.success:
-            raise DemoError(f"the service {self.of(name)} refused: {response.message}")
+            raise CommandError(f"the service {self.of(name)} refused: {response.message}")
 
     def command(self, targets: Mapping[int, float]) -> None:
-        """Publish positions [rad] by axis: one axis on its own topic, both in one JointState."""
-        if len(targets) == 1:
-            ((axis, position),) = targets.items()
-            self._single[self.joints[axis]].publish(Float64(data=position))
-            return
+        """Publish positions [rad] by axis."""
         names = [self.joints[axis] for axis in targets]
-        self._commands.publish(JointState(name=names, position=list(targets.values())))
+        self._ticket = self.commands.publish(JointState(name=names, position=list(targets.values())))
 
     def follow(self, path: Path, start_ns: int) -> None:
         """Publish a path that begins at the present positions, to be started at a ROS time [ns]."""
         message = path_message(path)
         message.header.stamp = to_stamp(start_ns)
-        self._paths.publish(message)
+        self._ticket = self.commands.publish(message)
+
+    def check(self) -> None:
+        """Raise `CommandError` if the newest command was refused or aborted."""
+        self.commands.answer(self._ticket)
 
     # ---- recordings
     @property
@@ -184,12 +174,7 @@ class ServoClient(Client):
 
     # ---- subscriptions
     def _on_names(self, message: JointState) -> None:
-        if self.joints:
-            return
         self.joints = list(message.name)
-        for joint in self.joints:
-            topic = self.of(topics.joint_position_topic(joint))
-            self._single[joint] = self.create_publisher(Float64, topic, command_qos())
 
     def _on_snapshot(self, message: Float64MultiArray) -> None:
         columns, rows = snapshot_table(message)

@@ -12,19 +12,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any, Final
+from typing import Final
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
-from servo_msgs_py.answers import LEASE_PERIOD, Answer, Phase, answer_from_message, new_ticket
+from servo_msgs_py.answers import Phase
 from servo_msgs_py.convert import applied_from_message, from_stamp
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.runtime.program import complain
-from servo_msgs_py.runtime.qos import answers_qos, command_qos, telemetry_qos
-from std_msgs.msg import Float64MultiArray, String
+from servo_msgs_py.runtime.qos import telemetry_qos
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from servo_bridge.commander import Commander, CommandError
+from servo_bridge.client import CommandError
+from servo_bridge.commander import Commander
 from servo_msgs_py import topics
 
 POSITION_TOLERANCE: Final = 0.02  # largest distance from a commanded position that counts as reached [rad]
@@ -34,7 +34,6 @@ _MEAN: Final = 0.2  # time over which a velocity is averaged [s]
 _STANDSTILL: Final = 2.0  # time without motion after which a position is not reached any more [s]
 _STILL: Final = 1.0e-3  # largest motion of a joint at rest [rad]
 _REPEAT: Final = 0.05  # period of velocity and effort set-points, which expire otherwise [s]
-_AGAIN: Final = 0.5  # time after which a command without an answer is repeated: it may have met no subscriber [s]
 _SILENCE: Final = 3.0  # longest time without telemetry [s]
 _VARIABLES: Final = {"position": "cmd.position", "velocity": "cmd.speed", "effort": "cmd.i_q"}
 
@@ -50,18 +49,13 @@ class Motions:
 
     def __init__(self, commander: Commander) -> None:
         self._commander = commander
-        self._answers: dict[str, Answer] = {}  # newest, by ticket
+        self._commands = commander.commands
         self._samples: deque[tuple[float, JointState]] = deque(maxlen=4000)  # with their board time [s]
         self._received = 0.0  # steady time of the newest sample [s]
         self._applied: set[str] = set()  # variables of the set-points that took effect
-        self._commanded = False  # whether a joint may be in motion for this program
         node, of = commander, commander.of
-        node.create_subscription(DiagnosticStatus, of(topics.ANSWERS), self._on_answer, answers_qos())
         node.create_subscription(JointState, of(topics.JOINT_STATES), self._on_sample, telemetry_qos())
         node.create_subscription(Float64MultiArray, of(topics.COMMANDS_APPLIED), self._on_applied, telemetry_qos())
-        self._set_points = node.create_publisher(JointState, of(topics.JOINT_COMMANDS), command_qos())
-        self._paths = node.create_publisher(JointTrajectory, of(topics.JOINT_TRAJECTORY), command_qos())
-        self._leases = node.create_publisher(String, of(topics.LEASES), command_qos())
         commander.watch()
         commander.wait_for(lambda: self._samples, f"no {of(topics.JOINT_STATES)} were received")
 
@@ -88,7 +82,7 @@ class Motions:
         setattr(message, quantity, list(targets.values()))
         with self.stopped_on_error(list(targets)):
             self._applied.clear()
-            ticket = self._send(self._set_points, message)
+            ticket = self._commands.send(message, self._commander.timeout)
             if quantity == "position":
                 self._arrive({joints[name]: target for name, target in targets.items()})
                 return "done: " + self.positions_text(targets)
@@ -116,23 +110,17 @@ class Motions:
             If it is refused, or the joints are not at its end within the tolerance of the bridge.
         """
         with self.stopped_on_error(message.joint_names):
-            ticket = self._send(self._paths, message)
-            begin, renewed = 0.0, 0.0
-            while not (answer := self._answers[ticket]).phase.final:
-                now = time.monotonic()
-                if now >= renewed + LEASE_PERIOD:
-                    renewed = now
-                    self._leases.publish(String(data=ticket))
-                if answer.phase is Phase.ACCEPTED:
+            ticket, begin = self._commands.send(message, self._commander.timeout), 0.0
+            while (answer := self._commands.answer(ticket)) is None or not answer.phase.final:
+                if answer is None or answer.phase is Phase.ACCEPTED:
                     begin = self._samples[-1][0]
                 progress(min((self._samples[-1][0] - begin) / max(duration, 1e-9), 1.0))
                 self._step()
-            _require(answer)
 
     def home(self, joint: str, method: str, position: float | None) -> str:
         """Home a joint; parameters and errors as `Commander.home`."""
         with self.stopped_on_error([joint]):
-            self._commanded = True
+            self._commands.sent = True
             return self._commander.home(joint, method, position)
 
     def stop(self, joints: Sequence[str]) -> None:
@@ -144,9 +132,13 @@ class Motions:
             If the bridge refuses, or does not answer.
         """
         self._commander.timeout = min(self._commander.timeout, _SILENCE)
-        ticket = self._send(self._paths, JointTrajectory(joint_names=list(joints)))
-        self._commander.wait_for(lambda: self._answers[ticket].phase.final, "no answer of the bridge to the stop")
-        _require(self._answers[ticket])
+        ticket = self._commands.send(JointTrajectory(joint_names=list(joints)), self._commander.timeout)
+
+        def ended() -> bool:
+            answer = self._commands.answer(ticket)
+            return answer is not None and answer.phase.final
+
+        self._commander.wait_for(ended, "no answer of the bridge to the stop")
 
     @contextmanager
     def stopped_on_error(self, joints: Sequence[str]) -> Iterator[None]:
@@ -156,7 +148,7 @@ class Motions:
         except CommandError:
             raise  # the motion has ended
         except BaseException:
-            if self._commanded:
+            if self._commands.sent:
                 try:
                     self.stop(joints)
                     complain(f"stopped: {self.positions_text(joints)}")
@@ -169,24 +161,6 @@ class Motions:
         return ", ".join(f"{joint} at {self._value('position', joint):.4f} rad" for joint in joints)
 
     # ---- details
-    def _send(self, publisher: Any, message: Any) -> str:
-        """Publish a message until it is answered; returns its ticket."""
-        commander = self._commander
-        commander.wait_for(publisher.get_subscription_count, f"no subscriber on {publisher.topic_name}")
-        ticket = message.header.frame_id = new_ticket("servo-command")
-        due = 0.0
-        deadline = time.monotonic() + commander.timeout
-        while ticket not in self._answers:
-            now = time.monotonic()
-            if now >= deadline:
-                raise CommandError(f"no answer of the bridge to the command within {commander.timeout:g} s")
-            if now >= due:
-                due, self._commanded = now + _AGAIN, True
-                publisher.publish(message)
-            commander.step()
-        _require(self._answers[ticket])
-        return ticket
-
     def _renew(self, message: JointState, ticket: str, duration: float) -> None:
         """Repeat set-points for a time [s]."""
         end = time.monotonic() + duration
@@ -195,8 +169,8 @@ class Motions:
             while time.monotonic() < pause:
                 self._step()
             self._commander.require_armed()
-            self._set_points.publish(message)
-            _require(self._answers[ticket])
+            self._commands.repeat(message)
+            self._commands.answer(ticket)
 
     def _arrive(self, targets: Mapping[Joint, float]) -> None:
         """Wait until positions are reached."""
@@ -260,21 +234,9 @@ class Motions:
         if time.monotonic() - self._received > _SILENCE:
             raise CommandError(f"no telemetry for {_SILENCE:g} s: the bridge or its board was lost")
 
-    def _on_answer(self, message: DiagnosticStatus) -> None:
-        answer = answer_from_message(message)
-        self._answers[answer.ticket] = answer
-
     def _on_sample(self, message: JointState) -> None:
         self._received = time.monotonic()
         self._samples.append((from_stamp(message.header.stamp) * 1e-9, message))
 
     def _on_applied(self, message: Float64MultiArray) -> None:
         self._applied.add(applied_from_message(message).variable)
-
-
-def _require(answer: Answer) -> None:
-    """Raise `CommandError` if a command was refused or aborted."""
-    if answer.phase is Phase.REFUSED:
-        raise CommandError(f"refused, no motion: {answer.text}")
-    if answer.phase is Phase.ABORTED:
-        raise CommandError(f"stopped before the end: {answer.text}")

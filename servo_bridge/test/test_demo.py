@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 from bridge_rig import DOMAIN, SPIN, STOP, Rig
 from numpy.typing import NDArray
+from servo_bridge.client import CommandError
 from servo_bridge.demo import Demo
-from servo_bridge.demo_client import DemoError, ServoClient
+from servo_bridge.demo_client import ServoClient
 from servo_bridge.demo_report import PathRow, Residual, Row, passed, path_table, report, table
 from servo_bridge.move_metrics import MoveFigures
 from servo_bridge.path_metrics import PathFigures
@@ -122,6 +123,9 @@ class FakeClient:
         self.path = path.shifted(start_ns * 1e-9)
         self.applied.append(AppliedCommand("cmd.points", self.tick + 8, (0,) * 8, 3))
 
+    def check(self) -> None:
+        pass
+
     def latest(self, column: str) -> float:
         return self.rows[-1][column]
 
@@ -217,7 +221,7 @@ def test_a_path_that_the_board_refuses_is_sent_again() -> None:
     assert sum("no cmd.points took effect" in line for line in output) == 2
     client = FakeClient()
     client.refusals = 3
-    with pytest.raises(DemoError, match="not accepted in 3 attempts"):
+    with pytest.raises(CommandError, match="not accepted in 3 attempts"):
         run(client)
 
 
@@ -230,7 +234,7 @@ def test_a_path_whose_points_are_late_is_repeated_more_slowly() -> None:
     assert sum("did not reach the board in time: the set-points of axis1 left" in line for line in output) == 2
     client = FakeClient()
     client.lost_paths = 3
-    with pytest.raises(DemoError, match="did not follow"):
+    with pytest.raises(CommandError, match="did not follow"):
         run(client)
 
 
@@ -287,7 +291,7 @@ def test_connection_fails_without_progress_only() -> None:
     Demo(client, COUNT, 1.0, lambda _: None).connect(1.0, require_twin=False)  # type: ignore[arg-type]
     client.wait_for = lambda condition, timeout: condition()  # type: ignore[method-assign]
     left[0] = 2
-    with pytest.raises(DemoError, match=r"no servo within 1 s; .*missing: enable, state\. "):
+    with pytest.raises(CommandError, match=r"no servo within 1 s; .*missing: enable, state\. "):
         Demo(client, COUNT, 1.0, lambda _: None).connect(1.0, require_twin=False)  # type: ignore[arg-type]
 
 
@@ -305,7 +309,7 @@ def test_missing_samples_of_the_twin_fail_but_no_twin_does_not() -> None:
     client = FakeClient()
     client.twin_present = False
     client._residuals.clear()
-    with pytest.raises(DemoError, match="no residuals of a twin"):
+    with pytest.raises(CommandError, match="no residuals of a twin"):
         Demo(client, COUNT, 1.0, lambda _: None).connect(0.1, require_twin=True)  # type: ignore[arg-type]
 
 
@@ -321,14 +325,14 @@ def test_demonstration_waits_for_a_lagging_twin() -> None:
 def test_fault_ends_the_demonstration_with_cause_and_remedy() -> None:
     client = FakeClient()
     client.fault_at = 6000
-    with pytest.raises(DemoError, match=r"axis1=FAULT.*UNDER_VOLTAGE: .*check the supply"):
+    with pytest.raises(CommandError, match=r"axis1=FAULT.*UNDER_VOLTAGE: .*check the supply"):
         run(client)
 
 
 def test_set_point_that_is_not_applied_is_reported() -> None:
     client = FakeClient()
     client.ignores_commands = True
-    with pytest.raises(DemoError, match=r"no cmd\.position took effect"):
+    with pytest.raises(CommandError, match=r"no cmd\.position took effect"):
         run(client)
 
 
