@@ -216,7 +216,7 @@ class SimulatedLink(Link):
         del timeout
         if self._session is not None:
             self._final_writes = final_writes
-            self._write_last(self._session.client)
+            self._write_last(self._session)
         return self._final_done
 
 

@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 from servo_msgs_py.catalogue import Catalogue, Value
 
 from servo_bridge.freemaster.client import BoardInfo
-from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkStatus, Sample, WriteResult
+from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkStatus, Sample
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_bridge.wire.scope import ScopeLayout
 from servo_bridge.wire.serial_port import LowLatency
@@ -27,9 +27,7 @@ class BoardLink(Protocol):
     def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool:
         """As `Link.close`; `timeout` [s]."""
 
-    def write_raw(
-        self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False
-    ) -> Future[WriteResult]: ...
+    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False) -> Future[None]: ...
     def read(self, name: str) -> Future[Value]: ...
     def call(self, function: Callable[[Session], T]) -> Future[T]: ...
     def set_keep_alive_period(self, period: float) -> None:

@@ -72,7 +72,7 @@ from servo_bridge.tuning.service import TuningService
 from servo_bridge.variable_topics import VariableTopics
 from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.keep_alive import keep_alive_period
-from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
+from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample
 from servo_msgs_py import topics
 
 T = TypeVar("T")
@@ -315,7 +315,7 @@ class Supervisor:
     def _send(self, write: CommandWrite) -> None:
         """Start a write; its result returns through the inbox, in order with the samples."""
 
-        def done(future: Future[WriteResult]) -> None:
+        def done(future: Future[None]) -> None:
             discarded = self._dispatcher.acknowledged(write, error_of(future))
             if discarded and write.variable == "cmd.points":
                 self._log_refusal()

@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.node import ServoBridge
-from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus, Sample, WriteResult
+from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus, Sample
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_bridge.wire.scope import ScopeLayout
 from servo_bridge.wire.serial_port import LowLatency
@@ -94,8 +94,8 @@ class FakeLink:
         self.final_writes = list(final_writes)
         return self.connected
 
-    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False) -> Future[WriteResult]:
-        done: Future[WriteResult] = Future()
+    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False) -> Future[None]:
+        done: Future[None] = Future()
         if not self.connected:
             done.set_exception(LinkDownError("no link"))
         else:
@@ -103,10 +103,10 @@ class FakeLink:
             if name in self.parameters:
                 if name != self.rejected_parameter:
                     self.parameters[name] = list(raw)
-                done.set_result(WriteResult(name, 0, 0, self.tick))
+                done.set_result(None)
             elif not self.ignores_writes:
                 self._effects += 1
-                done.set_result(WriteResult(name, 0, 0, self.tick))
+                done.set_result(None)
         return done
 
     def read(self, name: str) -> Future[Value]:

@@ -2,19 +2,18 @@ from __future__ import annotations
 
 import threading
 import time
-from concurrent.futures import CancelledError
 from typing import cast
 
 import pytest
-from servo_bridge.freemaster.client import Client
 from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
 from servo_bridge.wire.link_statistics import StatisticsCollector
+from servo_bridge.wire.session import Session
 
-NO_CLIENT = cast(Client, None)
+NO_SESSION = cast(Session, None)
 
 
 def job(key: str, *, write: bool = True) -> Job:
-    return Job(lambda _: key, key=key, write=write)
+    return Job(lambda _: key, write=write)
 
 
 @pytest.fixture
@@ -27,7 +26,7 @@ def queue() -> JobQueue:
 def drain(queue: JobQueue) -> list[str]:
     keys = []
     while (taken := queue.take(0.0)) is not None:
-        keys.append(taken.key)
+        keys.append(taken.run(NO_SESSION))
     return keys
 
 
@@ -39,17 +38,6 @@ def test_urgent_writes_precede_writes_and_reads_each_in_order(queue: JobQueue) -
     queue.put(job("u2"), urgent=True)
     assert len(queue) == 5
     assert drain(queue) == ["u1", "u2", "w1", "w2", "r1"]
-
-
-def test_latest_set_point_replaces_the_previous_one_and_keeps_the_order(queue: JobQueue) -> None:
-    old, new = job("position"), job("position")
-    queue.put(old, latest_wins=True)
-    queue.put(job("mode"))
-    queue.put(new, latest_wins=True)
-    assert old.done.cancelled()
-    assert queue.take(0.0) is not None
-    assert queue.take(0.0) is new
-    assert queue.take(0.0) is None
 
 
 def test_a_full_queue_refuses_at_once(queue: JobQueue) -> None:
@@ -75,17 +63,6 @@ def test_close_fails_pending_and_later_jobs(queue: JobQueue) -> None:
     assert drain(queue) == []
 
 
-def test_discarding_set_points_keeps_urgent_writes_and_reads(queue: JobQueue) -> None:
-    set_point = job("s")
-    queue.put(set_point)
-    queue.put(job("u"), urgent=True)
-    queue.put(job("r", write=False))
-    assert queue.drop_writes() == 1
-    with pytest.raises(CancelledError):
-        set_point.done.result(0)
-    assert drain(queue) == ["u", "r"]
-
-
 def test_take_waits_for_a_job_or_a_wake_up(queue: JobQueue) -> None:
     start = time.monotonic()
     assert queue.take(0.02) is None
@@ -101,15 +78,15 @@ def test_take_waits_for_a_job_or_a_wake_up(queue: JobQueue) -> None:
 
 def test_future_of_a_job_gets_its_result_or_error() -> None:
     good = job("x")
-    good.execute(NO_CLIENT)
+    good.execute(NO_SESSION)
     assert good.done.result(0) == "x"
 
-    def fail(_: Client) -> None:
+    def fail(_: Session) -> None:
         raise ValueError("bad")
 
     bad = Job(fail)
     with pytest.raises(ValueError, match="bad"):
-        bad.execute(NO_CLIENT)
+        bad.execute(NO_SESSION)
     with pytest.raises(ValueError, match="bad"):
         bad.done.result(0)
     good.fail(ValueError("too late to fail"))
@@ -120,7 +97,7 @@ def test_a_cancelled_job_is_not_run() -> None:
     ran: list[int] = []
     cancelled = Job(lambda _: ran.append(1))
     cancelled.done.cancel()
-    cancelled.execute(NO_CLIENT)
+    cancelled.execute(NO_SESSION)
     assert ran == []
 
 

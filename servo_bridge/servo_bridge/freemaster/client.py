@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import Final
 
 from servo_bridge.freemaster import commands
@@ -183,8 +182,8 @@ class Client:
 
     def write_limit(self, address: int) -> int:
         """Largest number of data bytes in one WRITEMEM to `address`."""
-        overhead = len(self._dialect.write_memory(address, b"").payload) + 1  # a size of 128 and more takes two bytes
-        return self.payload_limit - overhead
+        room = self.payload_limit - len(self._dialect.write_memory(address, b"").payload)
+        return room - (room > 127)  # a size of 128 and more takes two bytes
 
     def write_memory(self, address: int, data: bytes, *, lengthy: bool = False) -> Exchange:
         """Write bytes in one request, so that they take effect simultaneously.
@@ -203,14 +202,11 @@ class Client:
         CodecError
             If the data do not fit the buffer of the target.
         """
-        self._check_write(address, len(data))
-        return self.exchange(replace(self._dialect.write_memory(address, data), lengthy=lengthy))
-
-    def _check_write(self, address: int, size: int) -> None:
-        if size > self.write_limit(address):
-            raise CodecError(
-                f"{size} bytes do not fit one write; the limit of the board is {self.write_limit(address)}"
-            )
+        request = self._dialect.write_memory(address, data, lengthy=lengthy)
+        if len(request.payload) > self.payload_limit:
+            limit = self.write_limit(address)
+            raise CodecError(f"{len(data)} bytes do not fit one write; the limit of the board is {limit}")
+        return self.exchange(request)
 
     # ---- scope ------------------------------------------------------------------------------------------------
 

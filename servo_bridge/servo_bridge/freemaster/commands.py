@@ -117,12 +117,12 @@ def read_memory(address: int, size: int) -> Request:
     return Request(f"READMEM {size} bytes at 0x{address:X}", Command.READMEM, payload, size)
 
 
-def write_memory(address: int, data: bytes, mask: bytes | None = None) -> Request:
+def write_memory(address: int, data: bytes, mask: bytes | None = None, *, lengthy: bool = False) -> Request:
     """Write bytes; with a mask only the bits set in it."""
     if mask is not None and len(mask) != len(data):
         raise CodecError(f"mask of {len(mask)} bytes for {len(data)} bytes of data")
     payload = bytes((mask is not None,)) + encode_uleb(address) + encode_uleb(len(data)) + data + (mask or b"")
-    return Request(f"WRITEMEM {len(data)} bytes at 0x{address:X}", Command.WRITEMEM, payload, 0)
+    return Request(f"WRITEMEM {len(data)} bytes at 0x{address:X}", Command.WRITEMEM, payload, 0, lengthy=lengthy)
 
 
 def set_scope(slots: Sequence[ScopeSlot], *, scope: int = 0, payload_limit: int = MAX_ANSWER_DATA) -> list[Request]:

@@ -73,10 +73,11 @@ class MemoryForm:
         payload = self.number(size, 1) + self.address(address)
         return Request(f"READMEM {size} bytes at 0x{address:X}", self._code(0x01, 0x04), payload, size, framing=V3)
 
-    def write_memory(self, address: int, data: bytes) -> Request:
+    def write_memory(self, address: int, data: bytes, *, lengthy: bool = False) -> Request:
         """Write bytes."""
+        name, code = f"WRITEMEM {len(data)} bytes at 0x{address:X}", self._code(0x02, 0x05)
         payload = self.number(len(data), 1) + self.address(address) + data
-        return Request(f"WRITEMEM {len(data)} bytes at 0x{address:X}", self._code(0x02, 0x05), payload, 0, framing=V3)
+        return Request(name, code, payload, 0, framing=V3, lengthy=lengthy)
 
     def slots(self, slots: Sequence[ScopeSlot]) -> bytes:
         """Encode a list of variables for scope or recorder."""

@@ -71,8 +71,8 @@ class DialectV3:
     def read_memory(self, address: int, size: int) -> Request:
         return self._form.read_memory(address, size)
 
-    def write_memory(self, address: int, data: bytes) -> Request:
-        return self._form.write_memory(address, data)
+    def write_memory(self, address: int, data: bytes, *, lengthy: bool = False) -> Request:
+        return self._form.write_memory(address, data, lengthy=lengthy)
 
     def set_scope(self, slots: Sequence[ScopeSlot], *, scope: int, payload_limit: int) -> list[Request]:
         if scope:

@@ -30,16 +30,15 @@ from servo_bridge.freemaster.line import Line
 from servo_bridge.wire.board_clock import TickExtender
 from servo_bridge.wire.boot_token import agreed_boot_token
 from servo_bridge.wire.keep_alive import KEEP_ALIVE_PERIOD, KeepAlive, kept_alive
-from servo_bridge.wire.link_config import TICK, FinalWrite, LinkConfig, Port, WriteResult
+from servo_bridge.wire.link_config import TICK, FinalWrite, LinkConfig, Port
 from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
 from servo_bridge.wire.link_state import LinkState, LinkStatus, status_of
 from servo_bridge.wire.link_statistics import LinkStatistics, StatisticsCollector
-from servo_bridge.wire.refusal import explained
 from servo_bridge.wire.restoration import await_restored
 from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.scope_reader import BoardResetError, ScopeReader
 from servo_bridge.wire.serial_port import LowLatency, SerialPort
-from servo_bridge.wire.session import BoardVariable, Session, connect, element_bytes
+from servo_bridge.wire.session import Session, connect, element_bytes
 from servo_bridge.wire.stop_at_connection import stopped_at_connection
 
 __all__ = [
@@ -52,7 +51,6 @@ __all__ = [
     "LinkStatus",
     "Port",
     "Sample",
-    "WriteResult",
 ]
 
 T = TypeVar("T")
@@ -123,7 +121,6 @@ class Link:
         self._statistics = StatisticsCollector()
         self._extender = TickExtender()
         self._token: int | None = None  # boot token of the previous connection; None: the next one begins an epoch
-        self._reader: ScopeReader | None = None
         self._status = LinkStatus(LinkState.DISCONNECTED, "not started")
         self._session: Session | None = None
         self._low_latency = LowLatency(None, "not open")
@@ -182,9 +179,7 @@ class Link:
         """Present figures."""
         return self._statistics.report(time.monotonic_ns(), len(self._queue))
 
-    def write(
-        self, name: str, values: Sequence[float], *, first: int = 0, urgent: bool = False, latest_wins: bool = False
-    ) -> Future[WriteResult]:
+    def write(self, name: str, values: Sequence[float], *, first: int = 0, urgent: bool = False) -> Future[None]:
         """Write neighbouring elements of a variable [SI].
 
         Parameters
@@ -197,8 +192,6 @@ class Link:
             Index of the first element.
         urgent : bool
             Executed before all other waiting jobs.
-        latest_wins : bool
-            Cancels a waiting write of the same elements.
 
         Returns
         -------
@@ -213,52 +206,35 @@ class Link:
         """
         variable = self._known(name)
         raw = [variable.to_raw(value) for value in values]
-        return self.write_raw(name, raw, first=first, urgent=urgent, latest_wins=latest_wins)
+        return self.write_raw(name, raw, first=first, urgent=urgent)
 
-    def write_raw(
-        self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False, latest_wins: bool = False
-    ) -> Future[WriteResult]:
+    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False) -> Future[None]:
         """Write neighbouring elements of a variable as firmware integers; see `write`."""
         variable = self._known(name)
         offset, data = element_bytes(variable, raw, first)
         lengthy = name in COMMAND_VARIABLES  # the board counts and executes every received write
 
-        def run(client: Client) -> WriteResult:
-            assert self._reader is not None
-            with explained(self._catalogue, variable, data, offset):
-                exchange = client.write_memory(self._variable(name).address + offset, data, lengthy=lengthy)
+        def run(session: Session) -> None:
+            session.write_contract(variable, data, offset, lengthy=lengthy)
             self._statistics.wrote()
             if lengthy and self._keep_alive is not None:
                 self._keep_alive.commanded()
-            return WriteResult(name, exchange.request_ns, exchange.response_ns, self._reader.last_tick)
 
-        job = Job(run, key=f"{name} {first} {len(raw)}", write=True)
-        self._queue.put(job, urgent=urgent, latest_wins=latest_wins)
+        job = Job(run, write=True)
+        self._queue.put(job, urgent=urgent)
         return job.done
 
     def read(self, name: str) -> Future[Value]:
         """Read a variable [SI]; the future fails as in `write`."""
         self._known(name)
-
-        def run(client: Client) -> Value:
-            variable = self._variable(name)
-            return variable.decode(client.read_memory(variable.address, variable.size))
-
-        job = Job(run)
-        self._queue.put(job)
-        return job.done
+        return self.call(lambda session: session.read(session.variables[name]))
 
     def call(self, function: Callable[[Session], T]) -> Future[T]:
         """Call a function with the session of the board between two samples; it should take few exchanges.
 
         Its exceptions fail the future; only errors of the line end the connection.
         """
-
-        def run(_: Client) -> T:
-            assert self._session is not None
-            return function(self._session)
-
-        job = Job(run)
+        job = Job(function)
         self._queue.put(job)
         return job.done
 
@@ -269,10 +245,6 @@ class Link:
         if keep_alive is not None:
             keep_alive.period = period
 
-    def drop_writes(self) -> int:
-        """Cancel all waiting writes that are not urgent; returns their number."""
-        return self._queue.drop_writes()
-
     # ---- thread of the link -----------------------------------------------------------------------------------
 
     def _known(self, name: str) -> Variable:
@@ -280,10 +252,6 @@ class Link:
             return self._catalogue[name]
         except KeyError as error:
             raise ValueError(error.args[0]) from None
-
-    def _variable(self, name: str) -> BoardVariable:
-        assert self._session is not None
-        return self._session.variables[name]
 
     def _run(self) -> None:
         pause = self._config.backoff_min
@@ -337,7 +305,7 @@ class Link:
             reader = self._reader_of(session)
             first = reader.first()
         line.before_request = None  # the final writes must not be interrupted
-        self._session, self._reader = session, reader
+        self._session = session
         self._connected_once = True
         self._statistics.connected()
         self._queue.open()
@@ -347,11 +315,11 @@ class Link:
         try:
             with kept_alive(client, self._catalogue, self._withheld, self._statistics.fed) as self._keep_alive:
                 self.set_keep_alive_period(self._keep_alive_period)
-                self._loop(client, reader, self._keep_alive)
+                self._loop(session, reader, self._keep_alive)
         finally:
             self._keep_alive = None
             line.work_off()
-        self._write_last(client)
+        self._write_last(session)
         raise _StopError
 
     def _reader_of(self, session: Session) -> ScopeReader:
@@ -373,13 +341,13 @@ class Link:
         self._hung = bool(reason)
         return self._hung
 
-    def _loop(self, client: Client, reader: ScopeReader, keep_alive: KeepAlive) -> None:
+    def _loop(self, session: Session, reader: ScopeReader, keep_alive: KeepAlive) -> None:
         """Alternate between one job and one sample until the owner requests a stop.
 
         A sample is delivered to the owner while the next request is being transmitted; after a sample that confirms a
         write the loop pauses, because the owner may send the next write.
         """
-        line = client.line
+        line = session.client.line
         period = round(1e9 / self._config.rate) if self._config.rate > 0.0 else 0
         timeout_ns = round(self._config.lost_after * self._config.latency * 1e9)
         due = time.monotonic_ns() + period
@@ -394,7 +362,7 @@ class Link:
                 line.work_off()
             job = self._queue.take(pause)
             if job is not None:
-                self._execute(job, client)
+                self._execute(job, session)
                 wrote |= job.write
             if time.monotonic_ns() < due:
                 continue
@@ -419,19 +387,18 @@ class Link:
                 grace = _NEXT_WRITE * (sample.response_ns - sample.request_ns) * 1e-9 if wrote else 0.0
                 wrote = False
 
-    def _execute(self, job: Job, client: Client) -> None:
+    def _execute(self, job: Job, session: Session) -> None:
         try:
-            job.execute(client)
+            job.execute(session)
         except (AnswerTimeoutError, DamagedAnswerError, TransportError, WrongProtocolError):
             raise  # requests have been repeated: the link is lost
         except Exception:
             return  # reported by the future; the line works
 
-    def _write_last(self, client: Client) -> None:
+    def _write_last(self, session: Session) -> None:
         self._queue.close("the link was closed")
         for name, values in self._final_writes:
-            address, data = self._variable(name).encode(values)
-            client.write_memory(address, data)
+            session.write(session.variables[name], values)
         self._final_done = True
 
     def _check_stop(self) -> None:

@@ -51,13 +51,3 @@ class LinkConfig:
             raise ValueError("baud, latency, lost_after and queue_limit must be positive, rate not negative")
         if not 0.0 < self.backoff_min <= self.backoff_max:
             raise ValueError("backoff_min must be positive and not above backoff_max")
-
-
-@dataclass(frozen=True)
-class WriteResult:
-    """Acknowledged write."""
-
-    variable: str  # name
-    request_ns: int  # monotonic host time of the request [ns]
-    response_ns: int  # monotonic host time of the acknowledgement [ns]
-    last_tick: int  # extended tick of the last sample before it; the write took effect later

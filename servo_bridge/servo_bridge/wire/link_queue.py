@@ -9,7 +9,7 @@ from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, field
 from typing import Any
 
-from servo_bridge.freemaster.client import Client
+from servo_bridge.wire.session import Session
 
 
 class LinkDownError(ConnectionError):
@@ -24,17 +24,16 @@ class LinkBusyError(RuntimeError):
 class Job:
     """Work between two telemetry samples."""
 
-    run: Callable[[Client], Any]  # the work, in the thread of the link
-    key: str = ""  # written variable and elements; a later ``latest_wins`` job with the same key replaces it
+    run: Callable[[Session], Any]  # the work, in the thread of the link
     write: bool = False  # writes precede reads
     done: Future[Any] = field(default_factory=Future)
 
-    def execute(self, client: Client) -> None:
+    def execute(self, session: Session) -> None:
         """Run and complete the future; an exception of `run` is stored there and raised again."""
         if not self.done.set_running_or_notify_cancel():
             return
         try:
-            result = self.run(client)
+            result = self.run(session)
         except BaseException as error:
             self.fail(error)
             raise
@@ -88,7 +87,7 @@ class JobQueue:
         for job in waiting:
             job.fail(LinkDownError(reason))
 
-    def put(self, job: Job, *, urgent: bool = False, latest_wins: bool = False) -> None:
+    def put(self, job: Job, *, urgent: bool = False) -> None:
         """Queue a job; its future fails at once if the link is down or the queue is full.
 
         Parameters
@@ -97,17 +96,10 @@ class JobQueue:
             The job.
         urgent : bool
             Executed before all jobs that are not urgent.
-        latest_wins : bool
-            Cancel waiting jobs of the same kind and key; the new job is queued at the end.
         """
-        replaced: list[Job] = []
         error: Exception | None = None
         with self._condition:
             queue = self._urgent if urgent else self._writes if job.write else self._reads
-            if latest_wins:
-                replaced = [old for old in queue if old.key == job.key]
-                for old in replaced:
-                    queue.remove(old)
             if self._closed is not None:
                 error = LinkDownError(self._closed)
             elif len(queue) >= self._limit:
@@ -115,19 +107,8 @@ class JobQueue:
             else:
                 queue.append(job)
                 self._condition.notify()
-        for old in replaced:
-            old.done.cancel()
         if error is not None:
             job.fail(error)
-
-    def drop_writes(self) -> int:
-        """Cancel all waiting writes that are not urgent; returns their number."""
-        with self._condition:
-            dropped = list(self._writes)
-            self._writes.clear()
-        for job in dropped:
-            job.done.cancel()
-        return len(dropped)
 
     def take(self, timeout: float) -> Job | None:
         """Remove the next job, waiting up to `timeout` [s]; `wake` ends the wait."""

@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-
 from servo_msgs_py.catalogue import Catalogue, Variable
 
-from servo_bridge.freemaster.errors import OutOfRangeError, Status, StatusError
 
+def refusal_text(catalogue: Catalogue, variable: Variable, data: bytes, offset: int) -> str:
+    """Text with variable, value and permitted range.
 
-@contextmanager
-def explained(catalogue: Catalogue, variable: Variable, data: bytes, offset: int = 0) -> Iterator[None]:
-    """Explain the refusal of a write of whole elements, `offset` bytes after the address of a variable.
-
-    Raises
-    ------
-    OutOfRangeError
-        Replaces the `StatusError` for a refused value.
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Of the board.
+    variable : Variable
+        The written variable.
+    data : bytes
+        Written elements.
+    offset : int
+        Position of the first one after the address of the variable [bytes].
     """
-    try:
-        yield
-    except StatusError as error:
-        if error.code != Status.OUT_OF_RANGE:
-            raise
-        first = offset // variable.element_size
-        raise OutOfRangeError(refusal_text(catalogue, variable, variable.elements(data), first)) from error
-
-
-def refusal_text(catalogue: Catalogue, variable: Variable, raw: Sequence[int], first: int) -> str:
-    """Text with variable, value and permitted range."""
+    raw, first = variable.elements(data), offset // variable.element_size
     low, high = variable.raw_range
     for element, number in enumerate(raw, first):
         if not low <= number <= high:

@@ -62,11 +62,6 @@ class ScopeReader:
         self._request = session.client.set_scope(slots)
         self._last: Sample | None = None
 
-    @property
-    def last_tick(self) -> int:
-        """Extended tick of the last sample."""
-        return 0 if self._last is None else self._last.tick
-
     def first(self) -> Sample:
         """Read until the clock of the board advances.
 

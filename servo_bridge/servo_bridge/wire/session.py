@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Final, Protocol, TypeVar
@@ -14,9 +14,9 @@ from servo_msgs_py.variable_table import texts_by_address
 
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.discovery import TableRow, discover
-from servo_bridge.freemaster.errors import FreemasterError, StatusError
+from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, Status, StatusError
 from servo_bridge.freemaster.tsa import Number, TargetVariable, TypeKind, parse_type
-from servo_bridge.wire.refusal import explained
+from servo_bridge.wire.refusal import refusal_text
 
 T = TypeVar("T")
 
@@ -179,13 +179,28 @@ class Session:
             If the board refuses a value of a variable of the catalogue.
         """
         contract = self.variables[variable.name].contract  # also for a variable used with raw numbers
-        with nullcontext() if contract is None else explained(self.catalogue, contract, data, offset):
-            step = len(data)
-            if contract is None:
-                limit = self.client.write_limit(variable.address)
-                step = max(limit - limit % variable.target.type.size, variable.target.type.size)
-            for start in range(0, len(data), max(step, 1)):
-                self.client.write_memory(variable.address + offset + start, data[start : start + step], lengthy=True)
+        if contract is not None:
+            self.write_contract(contract, data, offset, lengthy=True)
+            return
+        limit = self.client.write_limit(variable.address)
+        step = max(limit - limit % variable.target.type.size, variable.target.type.size)
+        for start in range(0, len(data), step):
+            self.client.write_memory(variable.address + offset + start, data[start : start + step], lengthy=True)
+
+    def write_contract(self, contract: Variable, data: bytes, offset: int, *, lengthy: bool) -> None:
+        """Write whole neighbouring elements of a variable of the catalogue in one frame.
+
+        Raises
+        ------
+        OutOfRangeError
+            If the board refuses a value.
+        """
+        try:
+            self.client.write_memory(self.variables[contract.name].target.address + offset, data, lengthy=lengthy)
+        except StatusError as error:
+            if error.code != Status.OUT_OF_RANGE:
+                raise
+            raise OutOfRangeError(refusal_text(self.catalogue, contract, data, offset)) from error
 
 
 def _known_texts(
