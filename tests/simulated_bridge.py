@@ -311,7 +311,7 @@ class SimulatedNode:
         return _Publisher(self, name)
 
     def create_subscription(
-        self, _kind: Any, name: str, callback: Callable[[Any], None], _qos: Any, raw: bool = False
+        self, _kind: Any, name: str, callback: Callable[[Any], None], _qos: Any, raw: bool = False, **_: Any
     ) -> None:
         self.subscriptions[name] = (lambda message: callback(serialize_message(message))) if raw else callback
 
