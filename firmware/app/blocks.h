@@ -44,28 +44,6 @@ typedef struct {
     axis_snapshot_t axis[HAL_AXES];
 } snapshot_t;
 
-#define POINTS_TOGETHER 8 /* largest number of timed points in one write */
-#define POINT_WORDS 4
-
-/* Written by the host at any time; latched before a slow tick. */
-typedef struct {
-    int32_t position[HAL_AXES]; /* counts */
-    frac32_t speed[HAL_AXES]; /* Q1.31 of full-scale speed */
-    int32_t home_position[HAL_AXES]; /* counts */
-    uint32_t test_step[HAL_AXES]; /* test signal: swept_sine_t.step */
-    uint32_t test_growth[HAL_AXES]; /* test signal: swept_sine_t.growth */
-    uint32_t test_calls[HAL_AXES]; /* test signal: swept_sine_t.calls */
-    frac16_t i_q[HAL_AXES]; /* Q1.15 of full-scale current */
-    uint16_t mode[HAL_AXES]; /* control_mode_t */
-    uint16_t enable[HAL_AXES]; /* 1: on, 0: stop */
-    uint16_t quick_stop[HAL_AXES]; /* 1: stop */
-    uint16_t clear_faults[HAL_AXES]; /* 1: clear */
-    uint16_t home[HAL_AXES]; /* home_method_t */
-    frac16_t test_amplitude[HAL_AXES]; /* Q1.15 of the full scale at the test point */
-    uint16_t test_point[HAL_AXES]; /* test_point_t */
-    int32_t points[POINTS_TOGETHER * POINT_WORDS]; /* timed points, format in app/points.c */
-} command_block_t;
-
 /* Written by the host; default values from the configuration. */
 typedef struct {
     frac32_t speed_limit[HAL_AXES]; /* Q1.31 of full-scale speed */
@@ -86,6 +64,39 @@ typedef struct {
     uint16_t brake;        /* 1: brake resistor fitted */
     uint16_t unused; /* padding: equal size on all processors */
 } parameter_block_t;
+
+#define POINTS_TOGETHER 8 /* largest number of timed points in one write */
+#define POINT_WORDS 4
+
+#define POINTS_MEASURING 2 /* the same during a measurement */
+
+/* During a measurement most of the memory of the points keeps the parameters of its beginning (app/measurement.h). */
+typedef union {
+    int32_t points[POINTS_TOGETHER * POINT_WORDS]; /* timed points, format in app/points.c */
+    struct {
+        int32_t points[POINTS_MEASURING * POINT_WORDS];
+        parameter_block_t parameter;
+    } measuring;
+} points_memory_t;
+
+/* Written by the host at any time; latched before a slow tick. */
+typedef struct {
+    int32_t position[HAL_AXES]; /* counts */
+    frac32_t speed[HAL_AXES]; /* Q1.31 of full-scale speed */
+    int32_t home_position[HAL_AXES]; /* counts */
+    uint32_t test_step[HAL_AXES]; /* test signal: swept_sine_t.step */
+    uint32_t test_growth[HAL_AXES]; /* test signal: swept_sine_t.growth */
+    uint32_t test_calls[HAL_AXES]; /* test signal: swept_sine_t.calls */
+    frac16_t i_q[HAL_AXES]; /* Q1.15 of full-scale current */
+    uint16_t mode[HAL_AXES]; /* control_mode_t */
+    uint16_t enable[HAL_AXES]; /* 1: on, 0: stop */
+    uint16_t quick_stop[HAL_AXES]; /* 1: stop */
+    uint16_t clear_faults[HAL_AXES]; /* 1: clear */
+    uint16_t home[HAL_AXES]; /* home_method_t */
+    frac16_t test_amplitude[HAL_AXES]; /* Q1.15 of the full scale at the test point */
+    uint16_t test_point[HAL_AXES]; /* test_point_t */
+    points_memory_t memory;
+} command_block_t;
 
 #define CONFIG_TOGETHER 22 /* largest number of configuration members in one write */
 #define CONFIG_AXIS 0      /* word index in the window: axis */

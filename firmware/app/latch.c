@@ -35,7 +35,7 @@ void latch_reset(latch_marks_t *marks) { *marks = (latch_marks_t){0}; }
 
 void latch_mark(latch_marks_t *marks, uint16_t offset, uint16_t size)
 {
-    if (offset == offsetof(command_block_t, points)) {
+    if (offset == offsetof(command_block_t, memory)) {
         marks->points = (uint16_t)(size / (4U * POINT_WORDS));
         marks->commands = true;
         return;

@@ -8,12 +8,11 @@ static bool begins(servo_t *servo, uint16_t axis)
 {
     measurement_status_t *status = &servo->measurement_status;
     if (status->state != MEASUREMENT_STATE_NONE || servo->storage_status.state != STORAGE_STATE_IDLE ||
-        !config_blocks_keep(&servo->config_blocks, axis)) {
+        servo->marks.points != 0U || !config_blocks_keep(&servo->config_blocks, axis)) {
         measurement_end(servo, MEASUREMENT_END_REPLACED);
         return false;
     }
     servo->measurement = (measurement_t){
-        .parameter = servo->parameter,
         .checksum = servo->config_status.checksum[axis],
         .speed = servo->command.speed[axis],
         .i_q = servo->command.i_q[axis],
@@ -21,6 +20,7 @@ static bool begins(servo_t *servo, uint16_t axis)
         .axis = axis,
         .enabled = servo->axis[axis].enable_requested,
     };
+    servo->command.memory.measuring.parameter = servo->parameter;
     *status = (measurement_status_t){.state = MEASUREMENT_STATE_OPEN};
     return true;
 }
@@ -81,7 +81,7 @@ static void restore_values(servo_t *servo)
 {
     const measurement_t *measurement = &servo->measurement;
     const uint16_t axis = measurement->axis;
-    servo->parameter = measurement->parameter;
+    servo->parameter = servo->command.memory.measuring.parameter;
     servo->marks.parameters = true;
     storage_note_parameter(&servo->storage);
     servo->command.speed[axis] = measurement->speed;

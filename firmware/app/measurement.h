@@ -5,7 +5,8 @@
  * itself: when the host ends the session (0), after param.host_timeout without a command or keep-alive, with the
  * application command QUICK_STOP, or when another session is begun.
  *
- * The block of the beginning is kept in the spare block of the next axis (config_blocks_keep), so it needs no memory.
+ * It needs no memory: the block of the beginning is kept in the spare block of the next axis (config_blocks_keep), the
+ * parameters in the memory of the timed points, of which at most POINTS_MEASURING are written together meanwhile.
  * Runs in the background loop.
  */
 #ifndef SERVO_APP_MEASUREMENT_H

@@ -2,10 +2,9 @@
 #ifndef SERVO_APP_MEASUREMENT_DATA_H
 #define SERVO_APP_MEASUREMENT_DATA_H
 
-#include "app/blocks.h"
+#include "math/frac.h"
 
 typedef struct {
-    parameter_block_t parameter; /* values at the beginning */
     uint32_t checksum; /* checksum of the configuration block at the beginning */
     frac32_t speed; /* cmd.speed at the beginning, Q1.31 of full-scale speed */
     frac16_t i_q; /* cmd.i_q at the beginning, Q1.15 of full-scale current */

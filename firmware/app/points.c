@@ -136,6 +136,9 @@ point_refusal_t points_check(const points_board_t *board, const uint8_t *data, u
     if (size == 0U || size % POINT_BYTES != 0U) {
         return POINT_REFUSAL_FORM;
     }
+    if (board->measuring && size > POINTS_MEASURING * POINT_BYTES) {
+        return POINT_REFUSAL_MEASUREMENT;
+    }
     for (uint16_t at = 0; at < size; at = (uint16_t)(at + POINT_BYTES)) {
         const record_t record = record_at(data + at);
         const axis_t *axis = &board->axes[record.axis];
@@ -164,7 +167,7 @@ uint16_t points_queue(axis_t *axes, const command_block_t *block, uint16_t count
     for (uint16_t i = 0; i < count; i++) {
         uint32_t words[POINT_WORDS];
         for (uint16_t k = 0; k < POINT_WORDS; k++) {
-            words[k] = (uint32_t)block->points[i * POINT_WORDS + k];
+            words[k] = (uint32_t)block->memory.points[i * POINT_WORDS + k];
         }
         const record_t record = record_of(words);
         trajectory_put(&axes[record.axis].trajectory, record.point, record.replace);

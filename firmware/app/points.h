@@ -10,6 +10,7 @@ typedef struct {
     const axis_t *axes;
     const snapshot_t *snapshot;
     bool pending; /* the points of the previous write are not queued yet */
+    bool measuring; /* at most POINTS_MEASURING points (points_memory_t) */
 } points_board_t;
 
 /* Check points of POINT_WORDS words of four bytes; POINT_REFUSAL_NONE: accepted. Each segment must be within the

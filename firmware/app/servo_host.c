@@ -32,7 +32,12 @@ static bool is_boot_token(uint16_t offset)
 
 static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint16_t size)
 {
-    const points_board_t board = {servo->axis, &servo->snapshot, servo->marks.points != 0U};
+    const points_board_t board = {
+        .axes = servo->axis,
+        .snapshot = &servo->snapshot,
+        .pending = servo->marks.points != 0U,
+        .measuring = servo->measurement_status.state != MEASUREMENT_STATE_NONE,
+    };
     const point_refusal_t refusal = whole ? points_check(&board, data, size) : POINT_REFUSAL_FORM;
     if (refusal != POINT_REFUSAL_NONE) {
         servo->point_refusal = (uint16_t)refusal;
@@ -44,8 +49,8 @@ static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint
 static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
 {
     servo_t *servo = (servo_t *)context;
-    const uint16_t points = (uint16_t)offsetof(servo_t, command.points);
-    if (offset >= points && (uint32_t)offset + size <= points + sizeof servo->command.points) {
+    const uint16_t points = (uint16_t)offsetof(servo_t, command.memory);
+    if (offset >= points && (uint32_t)offset + size <= points + sizeof servo->command.memory) {
         return accepts_points(servo, offset == points && mask == NULL, data, size);
     }
     if (is_boot_token(offset) && servo->boot_token != 0U) {

@@ -40,7 +40,7 @@ CHECK(20, SIZE(command.test_step) == 8);
 CHECK(21, SIZE(command.test_growth) == 8);
 CHECK(22, SIZE(command.test_calls) == 8);
 CHECK(23, SIZE(command.test_point) == 4);
-CHECK(24, SIZE(command.points) == 128);
+CHECK(24, SIZE(command.memory.points) == 128);
 CHECK(25, SIZE(config.window) == 100);
 CHECK(26, SIZE(config.header) == 16);
 CHECK(27, SIZE(config.take) == 2);
@@ -293,6 +293,7 @@ static const char strings[] TABLE_MEMORY =
     "ACCELERATION\0"
     "BUSY\0"
     "FORM\0"
+    "MEASUREMENT\0"
     "home_state_t\0"
     "UNKNOWN\0"
     "ASSUMED\0"
@@ -640,304 +641,305 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {291, 21, 8, 0, TSA_KIND_NONE}, /* ACCELERATION */
     {304, 21, 9, 0, TSA_KIND_NONE}, /* BUSY */
     {309, 21, 10, 0, TSA_KIND_NONE}, /* FORM */
-    {314, 8, 0, 2, TSA_KIND_NONE}, /* home_state_t */
-    {327, 21, 0, 0, TSA_KIND_NONE}, /* UNKNOWN */
-    {335, 21, 1, 0, TSA_KIND_NONE}, /* ASSUMED */
-    {343, 21, 2, 0, TSA_KIND_NONE}, /* HOMING */
-    {350, 21, 3, 0, TSA_KIND_NONE}, /* KNOWN */
-    {356, 8, 0, 2, TSA_KIND_NONE}, /* home_method_t */
+    {314, 21, 11, 0, TSA_KIND_NONE}, /* MEASUREMENT */
+    {326, 8, 0, 2, TSA_KIND_NONE}, /* home_state_t */
+    {339, 21, 0, 0, TSA_KIND_NONE}, /* UNKNOWN */
+    {347, 21, 1, 0, TSA_KIND_NONE}, /* ASSUMED */
+    {355, 21, 2, 0, TSA_KIND_NONE}, /* HOMING */
+    {362, 21, 3, 0, TSA_KIND_NONE}, /* KNOWN */
+    {368, 8, 0, 2, TSA_KIND_NONE}, /* home_method_t */
     {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {370, 21, 1, 0, TSA_KIND_NONE}, /* HERE */
-    {375, 21, 2, 0, TSA_KIND_NONE}, /* ASSUME */
-    {382, 21, 3, 0, TSA_KIND_NONE}, /* STOP_POSITIVE */
-    {396, 21, 4, 0, TSA_KIND_NONE}, /* STOP_NEGATIVE */
-    {410, 21, 5, 0, TSA_KIND_NONE}, /* SWITCH_POSITIVE */
-    {426, 21, 6, 0, TSA_KIND_NONE}, /* SWITCH_NEGATIVE */
-    {442, 8, 0, 2, TSA_KIND_NONE}, /* home_result_t */
+    {382, 21, 1, 0, TSA_KIND_NONE}, /* HERE */
+    {387, 21, 2, 0, TSA_KIND_NONE}, /* ASSUME */
+    {394, 21, 3, 0, TSA_KIND_NONE}, /* STOP_POSITIVE */
+    {408, 21, 4, 0, TSA_KIND_NONE}, /* STOP_NEGATIVE */
+    {422, 21, 5, 0, TSA_KIND_NONE}, /* SWITCH_POSITIVE */
+    {438, 21, 6, 0, TSA_KIND_NONE}, /* SWITCH_NEGATIVE */
+    {454, 8, 0, 2, TSA_KIND_NONE}, /* home_result_t */
     {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {456, 21, 1, 0, TSA_KIND_NONE}, /* RUNNING */
-    {464, 21, 2, 0, TSA_KIND_NONE}, /* DONE */
-    {469, 21, 3, 0, TSA_KIND_NONE}, /* ABORTED */
-    {477, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
-    {484, 21, 5, 0, TSA_KIND_NONE}, /* SENSORLESS */
-    {350, 21, 6, 0, TSA_KIND_NONE}, /* KNOWN */
-    {495, 21, 7, 0, TSA_KIND_NONE}, /* NOT_FOUND */
-    {505, 21, 8, 0, TSA_KIND_NONE}, /* TIMEOUT */
-    {513, 21, 9, 0, TSA_KIND_NONE}, /* BLOCKED */
-    {521, 21, 10, 0, TSA_KIND_NONE}, /* STUCK */
-    {527, 21, 11, 0, TSA_KIND_NONE}, /* SPREAD */
-    {534, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {468, 21, 1, 0, TSA_KIND_NONE}, /* RUNNING */
+    {476, 21, 2, 0, TSA_KIND_NONE}, /* DONE */
+    {481, 21, 3, 0, TSA_KIND_NONE}, /* ABORTED */
+    {489, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
+    {496, 21, 5, 0, TSA_KIND_NONE}, /* SENSORLESS */
+    {362, 21, 6, 0, TSA_KIND_NONE}, /* KNOWN */
+    {507, 21, 7, 0, TSA_KIND_NONE}, /* NOT_FOUND */
+    {517, 21, 8, 0, TSA_KIND_NONE}, /* TIMEOUT */
+    {525, 21, 9, 0, TSA_KIND_NONE}, /* BLOCKED */
+    {533, 21, 10, 0, TSA_KIND_NONE}, /* STUCK */
+    {539, 21, 11, 0, TSA_KIND_NONE}, /* SPREAD */
+    {546, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
     {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {544, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
-    {549, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
-    {559, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
-    {569, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
-    {583, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
-    {593, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
-    {603, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
-    {617, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
-    {629, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
-    {639, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
-    {649, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
-    {663, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
-    {673, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
-    {683, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
-    {697, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {709, 8, 0, 2, TSA_KIND_NONE}, /* storage_state_t */
-    {725, 21, 0, 0, TSA_KIND_NONE}, /* IDLE */
-    {730, 21, 1, 0, TSA_KIND_NONE}, /* SAVING */
-    {737, 21, 2, 0, TSA_KIND_NONE}, /* ERASING */
-    {745, 8, 0, 2, TSA_KIND_NONE}, /* storage_source_t */
-    {762, 21, 0, 0, TSA_KIND_NONE}, /* BUILT_IN */
-    {771, 21, 1, 0, TSA_KIND_NONE}, /* COPY_A */
-    {778, 21, 2, 0, TSA_KIND_NONE}, /* COPY_B */
-    {785, 8, 0, 2, TSA_KIND_NONE}, /* stored_copy_t */
-    {799, 21, 0, 0, TSA_KIND_NONE}, /* EMPTY */
-    {805, 21, 1, 0, TSA_KIND_NONE}, /* INTACT */
-    {812, 21, 2, 0, TSA_KIND_NONE}, /* DAMAGED */
-    {820, 21, 3, 0, TSA_KIND_NONE}, /* OTHER_LAYOUT */
-    {833, 21, 4, 0, TSA_KIND_NONE}, /* OUT_OF_RANGE */
-    {846, 21, 5, 0, TSA_KIND_NONE}, /* ABSENT */
-    {853, 8, 0, 2, TSA_KIND_NONE}, /* storage_refusal_t */
+    {556, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
+    {561, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
+    {571, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
+    {581, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
+    {595, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
+    {605, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
+    {615, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
+    {629, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
+    {641, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {651, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {661, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {675, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {685, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {695, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {709, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {721, 8, 0, 2, TSA_KIND_NONE}, /* storage_state_t */
+    {737, 21, 0, 0, TSA_KIND_NONE}, /* IDLE */
+    {742, 21, 1, 0, TSA_KIND_NONE}, /* SAVING */
+    {749, 21, 2, 0, TSA_KIND_NONE}, /* ERASING */
+    {757, 8, 0, 2, TSA_KIND_NONE}, /* storage_source_t */
+    {774, 21, 0, 0, TSA_KIND_NONE}, /* BUILT_IN */
+    {783, 21, 1, 0, TSA_KIND_NONE}, /* COPY_A */
+    {790, 21, 2, 0, TSA_KIND_NONE}, /* COPY_B */
+    {797, 8, 0, 2, TSA_KIND_NONE}, /* stored_copy_t */
+    {811, 21, 0, 0, TSA_KIND_NONE}, /* EMPTY */
+    {817, 21, 1, 0, TSA_KIND_NONE}, /* INTACT */
+    {824, 21, 2, 0, TSA_KIND_NONE}, /* DAMAGED */
+    {832, 21, 3, 0, TSA_KIND_NONE}, /* OTHER_LAYOUT */
+    {845, 21, 4, 0, TSA_KIND_NONE}, /* OUT_OF_RANGE */
+    {858, 21, 5, 0, TSA_KIND_NONE}, /* ABSENT */
+    {865, 8, 0, 2, TSA_KIND_NONE}, /* storage_refusal_t */
     {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
     {309, 21, 1, 0, TSA_KIND_NONE}, /* FORM */
-    {846, 21, 2, 0, TSA_KIND_NONE}, /* ABSENT */
+    {858, 21, 2, 0, TSA_KIND_NONE}, /* ABSENT */
     {304, 21, 3, 0, TSA_KIND_NONE}, /* BUSY */
-    {477, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
-    {871, 21, 5, 0, TSA_KIND_NONE}, /* CHANGED */
-    {879, 21, 6, 0, TSA_KIND_NONE}, /* FLASH */
-    {885, 8, 0, 2, TSA_KIND_NONE}, /* measurement_state_t */
+    {489, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
+    {883, 21, 5, 0, TSA_KIND_NONE}, /* CHANGED */
+    {891, 21, 6, 0, TSA_KIND_NONE}, /* FLASH */
+    {897, 8, 0, 2, TSA_KIND_NONE}, /* measurement_state_t */
     {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {905, 21, 1, 0, TSA_KIND_NONE}, /* OPEN */
-    {910, 21, 2, 0, TSA_KIND_NONE}, /* RESTORING */
-    {920, 8, 0, 2, TSA_KIND_NONE}, /* measurement_end_t */
+    {917, 21, 1, 0, TSA_KIND_NONE}, /* OPEN */
+    {922, 21, 2, 0, TSA_KIND_NONE}, /* RESTORING */
+    {932, 8, 0, 2, TSA_KIND_NONE}, /* measurement_end_t */
     {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {938, 21, 1, 0, TSA_KIND_NONE}, /* CLOSED */
-    {945, 21, 2, 0, TSA_KIND_NONE}, /* SILENT */
-    {952, 21, 3, 0, TSA_KIND_NONE}, /* STOPPED */
-    {960, 21, 4, 0, TSA_KIND_NONE}, /* REPLACED */
-    {969, 980, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
-    {989, 994, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
-    {996, 994, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
-    {1009, 1023, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
-    {1025, 1030, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {1032, 1023, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
-    {1043, 1023, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
-    {1061, 1023, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
-    {1076, 245, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
-    {1090, 1095, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
-    {1111, 1030, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
-    {1095, 980, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
-    {1119, 1128, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
-    {1130, 1128, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
-    {1143, 1149, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
-    {1151, 1149, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
-    {1161, 1030, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {1165, 1030, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {1169, 1030, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
-    {1177, 1030, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
-    {1181, 1030, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
-    {1185, 1030, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {1193, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
-    {1199, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
-    {1208, 994, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
-    {1215, 1023, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
-    {1227, 1023, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
-    {1234, 1023, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
-    {1249, 1023, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
-    {1262, 1023, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {1274, 1030, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
-    {1294, 314, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
-    {1305, 1023, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
-    {1312, 980, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {1327, 994, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
-    {989, 994, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {1335, 1023, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
-    {1193, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
-    {1199, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {1340, 1023, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {1345, 1023, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
-    {1165, 1030, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {1161, 1030, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {1185, 1030, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {1025, 1030, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {1143, 1030, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {1350, 994, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {1365, 994, AT(boot_token), SIZE(boot_token), TSA_KIND_RW}, /* boot_token */
-    {1376, 969, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {989, 994, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {996, 994, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {1009, 1023, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {1025, 1030, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {1032, 1023, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {1043, 1023, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {1061, 1023, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
-    {1076, 245, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {1385, 1128, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {1398, 1149, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {1408, 1030, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {1416, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {1425, 1023, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {1436, 1023, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {1451, 1023, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {1468, 1128, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
-    {1486, 356, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
-    {1495, 1030, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
-    {1514, 994, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
-    {1528, 994, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
-    {1544, 994, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
-    {1559, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
-    {1574, 1128, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {1585, 1128, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1599, 1128, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {1613, 1023, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1625, 994, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1639, 994, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1655, 994, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1673, 1023, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1692, 1023, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1707, 1023, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1722, 1023, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1744, 1023, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
-    {1760, 994, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
-    {1777, 709, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
-    {1791, 1023, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
-    {1808, 853, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
-    {1824, 745, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
-    {1839, 785, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
-    {1852, 1023, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
-    {1866, 1023, AT(measurement_request.axis), SIZE(measurement_request.axis), TSA_KIND_RW}, /* measurement.axis */
-    {1883, 885, AT(measurement_status.state), SIZE(measurement_status.state), TSA_KIND_RO}, /* measurement.state */
-    {1901, 920, AT(measurement_status.ended), SIZE(measurement_status.ended), TSA_KIND_RO}, /* measurement.ended */
-    {1919, 1149, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1937, 1149, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1962, 1030, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1978, 1023, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1993, 1128, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {2012, 1128, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {2031, 1128, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {2053, 1149, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {2070, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {2085, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {2102, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {2122, 994, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {2143, 534, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {2157, 1023, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {2176, 1023, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {2198, 1023, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {2210, 1149, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {2219, 1128, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {2234, 1128, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {2253, 1149, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {2265, 1149, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {2281, 1030, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {2291, 1030, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {2301, 1030, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {2315, 1030, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {2325, 1030, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {2335, 1030, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {2349, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {2361, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {2376, 994, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {2389, 1023, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {2407, 1023, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {2420, 1023, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {2441, 1023, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {2460, 1023, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {2478, 1030, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {2504, 1030, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {2526, 314, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {2543, 1023, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
-    {2556, 1030, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {2570, 1149, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2591, 1030, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2614, 1030, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2633, 1023, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2657, 994, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2671, 1312, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2690, 442, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2708, 1023, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2726, 1030, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2748, 1128, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2775, 1030, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2785, 1030, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2795, 1030, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2805, 1030, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2819, 1030, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2832, 1030, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2845, 1030, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2858, 1128, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2869, 1128, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2880, 1128, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2895, 1149, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2911, 1149, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2930, 1149, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2946, 1128, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2962, 1128, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2978, 1128, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2993, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
-    {3010, 1030, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
-    {3028, 1030, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
-    {3045, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
-    {3056, 1023, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {3076, 1023, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {3093, 1023, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {3111, 1128, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {3126, 1128, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {3145, 1149, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {3157, 1149, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {3173, 1030, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {3183, 1030, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {3193, 1030, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {3207, 1030, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {3217, 1030, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {3227, 1030, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {3241, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {3253, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {3268, 994, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {3281, 1023, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {3299, 1023, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {3312, 1023, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {3333, 1023, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {3352, 1023, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {3370, 1030, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {3396, 1030, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {3418, 314, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {3435, 1023, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
-    {3448, 1030, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {3462, 1149, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {3483, 1030, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {3506, 1030, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {3525, 1023, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {3549, 994, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {3563, 1312, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {3582, 442, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {3600, 1023, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3618, 1030, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3640, 1128, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3667, 1030, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3677, 1030, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3687, 1030, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3697, 1030, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3711, 1030, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3724, 1030, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3737, 1030, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3750, 1128, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3761, 1128, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3772, 1128, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3787, 1149, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3803, 1149, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3822, 1149, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3838, 1128, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3854, 1128, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3870, 1128, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3885, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
-    {3902, 1030, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
-    {3920, 1030, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
-    {3937, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3948, 1023, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3968, 1023, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3985, 1023, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {950, 21, 1, 0, TSA_KIND_NONE}, /* CLOSED */
+    {957, 21, 2, 0, TSA_KIND_NONE}, /* SILENT */
+    {964, 21, 3, 0, TSA_KIND_NONE}, /* STOPPED */
+    {972, 21, 4, 0, TSA_KIND_NONE}, /* REPLACED */
+    {981, 992, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
+    {1001, 1006, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
+    {1008, 1006, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
+    {1021, 1035, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
+    {1037, 1042, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {1044, 1035, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
+    {1055, 1035, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
+    {1073, 1035, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
+    {1088, 245, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
+    {1102, 1107, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
+    {1123, 1042, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
+    {1107, 992, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
+    {1131, 1140, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
+    {1142, 1140, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
+    {1155, 1161, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
+    {1163, 1161, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
+    {1173, 1042, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1177, 1042, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1181, 1042, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
+    {1189, 1042, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
+    {1193, 1042, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
+    {1197, 1042, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {1205, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
+    {1211, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
+    {1220, 1006, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
+    {1227, 1035, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
+    {1239, 1035, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
+    {1246, 1035, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {1261, 1035, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {1274, 1035, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {1286, 1042, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
+    {1306, 326, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
+    {1317, 1035, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
+    {1324, 992, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {1339, 1006, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {1001, 1006, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
+    {1347, 1035, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {1205, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
+    {1211, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
+    {1352, 1035, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {1357, 1035, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {1177, 1042, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1173, 1042, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1197, 1042, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {1037, 1042, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {1155, 1042, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
+    {1362, 1006, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1377, 1006, AT(boot_token), SIZE(boot_token), TSA_KIND_RW}, /* boot_token */
+    {1388, 981, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {1001, 1006, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {1008, 1006, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {1021, 1035, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {1037, 1042, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {1044, 1035, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {1055, 1035, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {1073, 1035, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {1088, 245, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {1397, 1140, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1410, 1161, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1420, 1042, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1428, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1437, 1035, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1448, 1035, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1463, 1035, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1480, 1140, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1498, 368, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1507, 1042, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
+    {1526, 1006, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
+    {1540, 1006, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
+    {1556, 1006, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
+    {1571, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
+    {1586, 1140, AT(command.memory.points), SIZE(command.memory.points), TSA_KIND_RW}, /* cmd.points */
+    {1597, 1140, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1611, 1140, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1625, 1035, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1637, 1006, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1651, 1006, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1667, 1006, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1685, 1035, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1704, 1035, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1719, 1035, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1734, 1035, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1756, 1035, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1772, 1006, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1789, 721, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1803, 1035, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1820, 865, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1836, 757, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1851, 797, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1864, 1035, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1878, 1035, AT(measurement_request.axis), SIZE(measurement_request.axis), TSA_KIND_RW}, /* measurement.axis */
+    {1895, 897, AT(measurement_status.state), SIZE(measurement_status.state), TSA_KIND_RO}, /* measurement.state */
+    {1913, 932, AT(measurement_status.ended), SIZE(measurement_status.ended), TSA_KIND_RO}, /* measurement.ended */
+    {1931, 1161, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1949, 1161, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1974, 1042, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1990, 1035, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {2005, 1140, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {2024, 1140, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {2043, 1140, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {2065, 1161, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {2082, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {2097, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {2114, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {2134, 1006, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {2155, 546, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {2169, 1035, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {2188, 1035, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {2210, 1035, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {2222, 1161, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {2231, 1140, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {2246, 1140, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {2265, 1161, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2277, 1161, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2293, 1042, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2303, 1042, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2313, 1042, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2327, 1042, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2337, 1042, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2347, 1042, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2361, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2373, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2388, 1006, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2401, 1035, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2419, 1035, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2432, 1035, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2453, 1035, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2472, 1035, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2490, 1042, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2516, 1042, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2538, 326, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2555, 1035, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {2568, 1042, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2582, 1161, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2603, 1042, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2626, 1042, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2645, 1035, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2669, 1006, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2683, 1324, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2702, 454, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2720, 1035, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2738, 1042, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2760, 1140, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2787, 1042, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2797, 1042, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2807, 1042, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2817, 1042, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2831, 1042, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2844, 1042, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2857, 1042, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2870, 1140, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2881, 1140, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2892, 1140, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2907, 1161, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2923, 1161, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2942, 1161, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2958, 1140, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2974, 1140, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2990, 1140, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {3005, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
+    {3022, 1042, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
+    {3040, 1042, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
+    {3057, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
+    {3068, 1035, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {3088, 1035, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {3105, 1035, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {3123, 1140, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {3138, 1140, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {3157, 1161, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {3169, 1161, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {3185, 1042, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {3195, 1042, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {3205, 1042, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {3219, 1042, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {3229, 1042, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {3239, 1042, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {3253, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {3265, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {3280, 1006, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {3293, 1035, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {3311, 1035, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {3324, 1035, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3345, 1035, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3364, 1035, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3382, 1042, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3408, 1042, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3430, 326, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3447, 1035, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {3460, 1042, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3474, 1161, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3495, 1042, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3518, 1042, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3537, 1035, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3561, 1006, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3575, 1324, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3594, 454, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3612, 1035, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3630, 1042, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3652, 1140, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3679, 1042, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3689, 1042, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3699, 1042, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3709, 1042, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3723, 1042, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3736, 1042, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3749, 1042, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3762, 1140, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3773, 1140, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3784, 1140, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3799, 1161, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3815, 1161, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3834, 1161, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3850, 1140, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3866, 1140, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3882, 1140, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3897, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
+    {3914, 1042, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
+    {3932, 1042, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
+    {3949, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3960, 1035, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3980, 1035, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3997, 1035, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -1052,11 +1054,11 @@ static const uint16_t state_offsets[] = {15, 29, 34, 39};
 const name_list_t servo_state_names = {state_offsets, 4};
 static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87, 95};
 const name_list_t servo_substate_names = {substate_offsets, 7};
-static const uint16_t refusal_offsets[] = {161, 261, 266, 271, 277, 286, 115, 124, 291, 304, 309};
-const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t copy_offsets[] = {799, 805, 812, 820, 833, 846};
+static const uint16_t refusal_offsets[] = {161, 261, 266, 271, 277, 286, 115, 124, 291, 304, 309, 314};
+const name_list_t servo_refusal_names = {refusal_offsets, 12};
+static const uint16_t copy_offsets[] = {811, 817, 824, 832, 845, 858};
 const name_list_t servo_copy_names = {copy_offsets, 6};
-static const uint16_t fault_offsets[] = {4003, 4016, 4030, 4043, 4058, 190, 4071, 4083, 4091, 4099, 4112, 4128, 4139, 4156, 4173, 4182, 4197, 4212, 4223, 4237, 4247, 4256, 343, 4274, 4287};
+static const uint16_t fault_offsets[] = {4015, 4028, 4042, 4055, 4070, 190, 4083, 4095, 4103, 4111, 4124, 4140, 4151, 4168, 4185, 4194, 4209, 4224, 4235, 4249, 4259, 4268, 355, 4286, 4299};
 const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
@@ -1075,7 +1077,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(command.test_growth), 4, 2, INT32_C(0), INT32_C(429496730)}, /* cmd.test_growth */
     {OFFSET(command.test_calls), 4, 2, INT32_C(0), INT32_C(960000)}, /* cmd.test_calls */
     {OFFSET(command.test_point), 2, 2, INT32_C(0), INT32_C(4)}, /* cmd.test_point */
-    {OFFSET(command.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
+    {OFFSET(command.memory.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
     {OFFSET(config.window), 4, 25, INT32_MIN, INT32_C(2147483647)}, /* config.window */
     {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
     {OFFSET(config.take), 2, 1, INT32_C(0), INT32_C(3)}, /* config.take */

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x1E1DD4D8)
+#define CATALOGUE_HASH UINT32_C(0x956485C6)
 
 #define PARAMETER_LAYOUT UINT32_C(0xC4DA1EDC)
 #define PARAMETER_VALUES 29U
@@ -67,6 +67,7 @@ typedef enum {
     POINT_REFUSAL_ACCELERATION = 8,
     POINT_REFUSAL_BUSY = 9,
     POINT_REFUSAL_FORM = 10,
+    POINT_REFUSAL_MEASUREMENT = 11,
 } point_refusal_t;
 
 typedef enum {

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from servo_bench import CATALOGUE, FEATURES, MODE, STATE, STOP_CATEGORY, SUBSTATE, amps, speed
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
+from servo_msgs_py.timed_points import TimedPoint, encode_points
 
 NAMES = [name for name, v in CATALOGUE.variables.items() if name.startswith("param.")]
 KEPT = [*NAMES, "cmd.mode", "cmd.speed", "cmd.i_q"]
@@ -129,6 +130,44 @@ def test_values_of_the_beginning_are_restored_at_every_end(bench: Session, end: 
     assert bench.values() == before
     assert bench.ended == END[end]
     assert bench.begin(axis), "the next session"
+
+
+def test_at_most_two_points_are_written_together_until_the_parameters_are_restored(bench: Session) -> None:
+    """The rest of their memory keeps the parameters."""
+    refusals = CATALOGUE.enums["point_refusal_t"]
+
+    def refusal(points: int) -> int:
+        assert not bench.write_words("cmd.points", [-1] * 4 * points)
+        bench.background()
+        return bench.read_words("point_refusal")[0]
+
+    assert refusal(3) == refusals["FORM"]
+    before = bench.values()
+    assert bench.begin()
+    assert (refusal(3), refusal(2)) == (refusals["MEASUREMENT"], refusals["FORM"])
+    bench.to_spin(0)
+    bench.close()
+    assert bench.state == RESTORING
+    assert (refusal(3), refusal(2)) == (refusals["MEASUREMENT"], refusals["FORM"])
+    bench.until_restored(4000)
+    assert bench.values() == before
+    assert refusal(3) == refusals["FORM"]
+
+
+def test_points_of_a_session_leave_the_parameters(bench: Session) -> None:
+    bench.write_one("cmd.mode", MODE.TRAJECTORY)
+    bench.to_spin(0)
+    before = bench.values()
+    assert bench.begin()
+    bench.write_raw("param.speed_limit", [speed(100.0), speed(100.0)])
+    place = CATALOGUE["axis1.position"].lsb * bench.read_words("axis1.position_ref")[0]
+    points = [TimedPoint(0, bench.read_words("tick")[0] + 1600 * k, place, 0.0) for k in (1, 2)]
+    assert bench.write_words("cmd.points", encode_points(CATALOGUE, points))
+    bench.close()
+    bench.until_restored(4000)
+    bench.background(3)
+    assert bench.values() == before
+    assert bench.read_words("axis1.points_taken") == [2]
 
 
 def test_session_with_a_moving_shaft_stops_it_first(bench: Session) -> None:

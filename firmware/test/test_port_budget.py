@@ -14,7 +14,7 @@ from port_board import PORT
 pytestmark = pytest.mark.slow
 
 STACK_MARGIN = 1.5  # stack frames of the chip's compiler are not known
-LIBRARY_ROOM = 448  # words of the run-time library, which also runs from RAM
+LIBRARY_ROOM = 512  # words of the run-time library, which also runs from RAM
 OTHERS = {"test", "port/avr", "port/cortex_m3"}  # folders that are not flashed
 FAST_ROOTS = (
     *("drive_current", "drive_observed", "encoder_source_fast", "observer_source_fast"),

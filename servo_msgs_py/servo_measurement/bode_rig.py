@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
-from servo_msgs_py.timed_points import TimedPoint, encode_points
+from servo_msgs_py.timed_points import POINTS_MEASURING, TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults
@@ -175,7 +175,7 @@ class BodeRig(AxisUnderTest):
         acceleration = 0.5 * self.access.read("param.acceleration_limit")[self.axis]
         ramp = max(0.01, min(1.5 * abs(speed) / acceleration, _RAMP))
         place = self.value("position_ref")
-        tick = int(self.access.read("tick")[0])
+        begun, tick = self.access.clock(), int(self.access.read("tick")[0])
         path = ((_LEAD_TIME, 0.0, 0.0), (ramp, 0.5 * ramp * speed, speed), (seconds, seconds * speed, speed))
         points = []
         for duration, travel, velocity in (*path, (ramp, 0.5 * ramp * speed, 0.0)):
@@ -184,11 +184,15 @@ class BodeRig(AxisUnderTest):
             points.append(TimedPoint(self.axis, tick % (1 << 32), place, velocity))
         self.mode("TRAJECTORY")
         self.access.wait(POLL_TIME)
-        if not self.access.write_words("cmd.points", encode_points(self.access.catalogue, points)):
-            self.access.wait(POLL_TIME)
+        for first in range(0, len(points), POINTS_MEASURING):
+            words = encode_points(self.access.catalogue, points[first : first + POINTS_MEASURING])
+            queued = self.access.write_words("cmd.points", words)
+            self.access.wait(POLL_TIME)  # until the board has taken the points or has told its refusal
+            if queued:
+                continue
             reason = self.access.catalogue.label("point_refusal_t", int(self.access.read("point_refusal")[0]))
             raise MeasurementError(f"{self.name} refuses to run at {speed:g} rad/s: {reason}; use a lower speed")
-        self.access.wait(_LEAD_TIME + ramp)
+        self.access.wait(max(begun + _LEAD_TIME + ramp - self.access.clock(), 0.0))
 
     def _refuse_motion(self, begun: tuple[float, float], ended: tuple[float, float], speed: float) -> None:
         """Raise an error if the mean speed during the recording is wrong; arguments from `_position_and_time`."""

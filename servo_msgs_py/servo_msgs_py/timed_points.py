@@ -11,6 +11,8 @@ from servo_msgs_py.catalogue import AXES, Catalogue
 POINT_WORDS: Final = 4
 POINTS_PER_WRITE: Final = 8
 """Maximum number of points in one write."""
+POINTS_MEASURING: Final = 2
+"""The same during a measurement."""
 
 _PART_BITS: Final = 12
 _AXIS_BIT: Final = 28
