@@ -13,7 +13,7 @@ from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_points import JointSetPoint
 from servo_bridge.trajectory.check import require
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.follower import AxisReport, Follower, Plan
+from servo_bridge.trajectory.follower import AxisReport, Follower, PathEvents, Plan
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory.timed_points import PERIOD
@@ -113,7 +113,7 @@ class PathSimulation:
 
     def follow(self, plan: Plan, joints: Sequence[str] = JOINTS, start: float = 0.0) -> None:
         """Request a path."""
-        self.arbiter.admit("test", [JOINTS.index(joint) for joint in joints])
+        self.arbiter.admit_path("test", [JOINTS.index(joint) for joint in joints])
 
         def postponed() -> bool:
             self.postponed += 1
@@ -122,17 +122,14 @@ class PathSimulation:
         self.follower.request(
             joints,
             plan,
-            self.end_times.append,
-            self.refusals.append,
-            start,
-            abandoned=self.abandoned.append,
-            postponed=postponed,
+            PathEvents(self.end_times.append, self.refusals.append, self.abandoned.append, postponed),
+            start=start,
         )
         self.dispatcher.pump()
 
     def receive(self, points: Mapping[int, JointSetPoint], stamp: float) -> None:
         """Receive one message of a stream of set-points."""
-        self.arbiter.admit("test", points)
+        self.arbiter.admit_path("test", points)
         self.streamer.take(points, stamp, self.now, self.limits)
         self.streamer.advance(self.now)
         self.dispatcher.pump()

@@ -106,6 +106,13 @@ def test_move_beside_an_active_controller_is_carried_out() -> None:
     assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([-2.0, 2.0], abs=GOAL_ERROR)
 
 
+def test_a_refused_trajectory_does_not_stop_a_stream() -> None:
+    steps = [Step("goal", 0.3, distance=3.0, time=1.0), Step("move", 1.5, distance=100.0, time=0.01)]
+    sequence = CommandSequence(Setup(), steps)
+    assert not sequence.run(), sequence.log
+    assert sequence.results == [SUCCESSFUL] * 2
+
+
 def test_motion_without_a_command_is_found() -> None:
     violations = CommandSequence(Setup(), [Step("stranger", distance=0.5)]).run()
     assert [violation.axis for violation in violations] == [0]

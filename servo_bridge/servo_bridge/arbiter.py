@@ -9,7 +9,7 @@ integers in motor units.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
@@ -195,7 +195,7 @@ class Arbiter:
         """
         targets: dict[int, tuple[str, Target]] = {}
         for request in requests:
-            self.check_ready(request.source, request.values)
+            self.check_source(request.source, request.values)
             for axis in request.values:
                 if request.mode is not Mode.POSITION:
                     self._check_heading(request, axis)
@@ -215,20 +215,23 @@ class Arbiter:
         other = holder.topic if holder is not None and holder.topic != topic and moves else ""
         return Place(joint.name, position, velocity, holder, other, streaming, joint.wraps)
 
-    def admit(self, source: str, axes: Iterable[int]) -> None:
-        """Check that some axes may follow a path; as `submit`, without values.
-
-        Raises
-        ------
-        Rejected
-            If the path is refused.
-        """
-        axes = list(axes)
-        self.check_ready(source, axes)
+    def admit_path(self, source: str, axes: Collection[int]) -> None:
+        """Register that some axes follow a path from now on; after `check_source`."""
         self._claim(Source(source, "trajectory"), axes)
         for axis in axes:
             self._head(axis, 0.0)
         self.queue.discard(axes)
+
+    def check_source(self, source: str, axes: Collection[int]) -> None:
+        """Check that some axes accept set-points of a source.
+
+        Raises
+        ------
+        Rejected
+            If they do not.
+        """
+        self.check_ready(source, axes)
+        self.sources.require(source, axes, self._joints, self.queue.following)
 
     def check_ready(self, source: str, axes: Iterable[int]) -> None:
         """Check that some axes accept set-points.
@@ -259,6 +262,9 @@ class Arbiter:
                 )
 
     # ---- details
+    def _claim(self, source: Source, axes: Iterable[int]) -> None:
+        self.sources.claim(source, axes, self._joints, self.queue.following)
+
     def _head(self, axis: int, heading: float) -> None:
         self._heading[axis] = heading
         if heading != self._blocked_heading[axis]:
@@ -279,9 +285,6 @@ class Arbiter:
                 "command the other direction, or a position",
                 kind=f"{joint.name} at the end of its range",
             )
-
-    def _claim(self, source: Source, axes: Iterable[int]) -> None:
-        self.sources.claim(source, axes, self._joints, self.queue.following)
 
     def _raw(self, request: SetPointRequest, axis: int) -> int:
         value, mode, joint = request.values[axis], request.mode, self.joints[axis]

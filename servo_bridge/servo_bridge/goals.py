@@ -1,23 +1,28 @@
-"""Trajectories whose result is reported: goals of the action, and trajectories with a ticket."""
+"""Trajectories: checks, start and stop, and the results of those whose result is reported."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from servo_bridge.set_points import Rejected
-from servo_bridge.trajectory.follower import Follower, Plan
+from servo_bridge.command_context import CommandContext
+from servo_bridge.set_points import NotReady, Rejected
+from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
+from servo_bridge.trajectory.follower import Follower, PathEvents, Plan
+from servo_bridge.trajectory.from_message import from_message
 from servo_bridge.trajectory.goal import CANCELED, Goal, Step
 from servo_bridge.trajectory.merge import merged
-from servo_bridge.trajectory.message import TrajectoryMessage
+from servo_bridge.trajectory.message import TrajectoryMessage, check_size
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.tolerances import Phase
-from servo_bridge.trajectory_topics import TrajectoryTopics
+
+_STOP_DELAY = 0.1
+"""Time until a stop takes effect on the board and the shaft has stopped [s]."""
 
 
 class Owner(Protocol):
@@ -53,30 +58,91 @@ class _Active:
 
 
 class Goals:
-    """The active goals of one board.
+    """Starts and stops the trajectories of one board.
 
     Parameters
     ----------
-    joints : sequence of str
-        Joint names in the order of the axes.
-    trajectories : TrajectoryTopics
-        Checks trajectories and starts them.
+    context : CommandContext
+        Checks and counts trajectories.
     follower : Follower
-        Has the paths of the joints.
+        Sends them to the board.
+    origin_ns : callable
+        ROS time at tick 0 of the board [ns]; None before the first sample.
+    info : callable
+        Receives messages for the log.
     """
 
-    def __init__(self, joints: Sequence[str], trajectories: TrajectoryTopics, follower: Follower) -> None:
-        self._joints = list(joints)
-        self._trajectories = trajectories
+    def __init__(
+        self,
+        context: CommandContext,
+        follower: Follower,
+        *,
+        origin_ns: Callable[[], int | None],
+        info: Callable[[str], None],
+    ) -> None:
+        self._context = context
+        self._joints = list(context.joints)
         self._follower = follower
+        self._origin_ns = origin_ns
+        self._info = info
         self._active: list[_Active] = []
 
     def joints_of(self, names: Sequence[str]) -> list[str]:
         """Joints of a trajectory in the order of the axes; all if it names none."""
         return [joint for joint in self._joints if joint in names or not len(names)]
 
-    def begin(self, source: str, message: TrajectoryMessage, goal: Goal, owner: Owner, takes_over: str = "") -> None:
-        """Start to follow a trajectory, or to stop its joints if it is empty.
+    # ---- start and stop
+    def stop(self, source: str, names: Sequence[str], reason: str = "") -> float:
+        """Stop joints with the acceleration limit and hold; pending trajectories are refused.
+
+        Parameters
+        ----------
+        source : str
+            Topic or action of the request.
+        names : sequence of str
+            Joints; empty: all.
+        reason : str
+            Reported for the ended paths; default: an empty trajectory.
+
+        Returns
+        -------
+        float
+            Latest time at which they have stopped [s of board time].
+
+        Raises
+        ------
+        Rejected
+            If a joint does not exist, or the axes do not accept set-points.
+        """
+        for name in names:
+            if name not in self._joints:
+                known = ", ".join(self._joints)
+                raise TrajectoryError(
+                    f"{source}: joint {name!r} does not exist; the joints are {known}", ErrorCode.INVALID_JOINTS
+                )
+        return self._halt(
+            source, self.joints_of(names), reason or f"an empty trajectory on {source} stopped it", pending=True
+        )
+
+    def _halt(self, source: str, joints: Sequence[str], reason: str, *, pending: bool = False) -> float:
+        """Stop joints as `stop`; `pending`: also refuse their pending trajectories."""
+        axes, queue = self._axes(joints), self._context.arbiter.queue
+        self._context.arbiter.check_ready(source, axes)
+        limits = self._context.limits()
+        if limits is None:
+            raise NotReady(f"{source}: the board has not reported its limits yet; call quick_stop to stop now")
+        paths = self._follower.running().select(joints).state(self._follower.now).velocity
+        speeds = [
+            max(abs(path), abs(self._context.arbiter.velocity(axis))) for path, axis in zip(paths, axes, strict=True)
+        ]
+        times = [speed / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
+        (queue.halt if pending else queue.halt_paths)(axes, reason)
+        self._context.accept()
+        self._info(f"stopping {', '.join(joints)} for {source}")
+        return float(self._follower.now + max(times) + _STOP_DELAY)
+
+    def follow(self, source: str, message: TrajectoryMessage, on: PathEvents, takes_over: str = "") -> Plan:
+        """Check a trajectory and start to follow it.
 
         Parameters
         ----------
@@ -84,12 +150,73 @@ class Goals:
             Topic or action of the trajectory.
         message : TrajectoryMessage
             The trajectory.
+        on : PathEvents
+            Receives the progress.
+        takes_over : str
+            Reported for the paths that it replaces; empty: a trajectory on this source.
+
+        Returns
+        -------
+        Plan
+            For `Follower.withdraw`.
+
+        Raises
+        ------
+        Rejected
+            If it is refused at once; then nothing is changed.
+        """
+        joints, arbiter = self.joints_of(message.joint_names), self._context.arbiter
+        axes = self._axes(joints)
+        arbiter.check_source(source, axes)
+        limits, origin_ns = self._context.limits(), self._origin_ns()
+        if limits is None or origin_ns is None:
+            raise TrajectoryError(f"{source}: the board has not reported its limits yet; try again in 1 s")
+
+        def plan(running: Path, now: float) -> Path:
+            wrapping = [joint.name for joint in arbiter.joints if joint.wraps]
+            return from_message(message, running, now, origin_ns, source=source, wrapping=wrapping)
+
+        def checked() -> None:
+            # What an axis follows as a path, such as a stream, it follows until this one begins.
+            arbiter.admit_path(source, [axis for axis in axes if axis not in self._follower.moving])
+            on.checked()
+
+        def begun(end: float) -> None:
+            arbiter.admit_path(source, axes)
+            self._info(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s")
+            on.begun(end)
+
+        def postponed() -> bool:
+            if not on.postponed():
+                return False
+            self._info(f"the first points of {', '.join(joints)} reached the board too late; they begin later")
+            return True
+
+        check_size(message, source)
+        self._follower.request(
+            joints,
+            plan,
+            replace(on, checked=checked, begun=begun, postponed=postponed),
+            start=(message.stamp_ns - origin_ns) * 1.0e-9 if message.stamp_ns else 0.0,
+            takes_over=takes_over or f"a trajectory on {source} took over",
+            size=message.size,
+            movable=True,
+        )
+        self._context.accept()
+        return plan
+
+    # ---- goals
+    def begin(self, source: str, message: TrajectoryMessage, goal: Goal, owner: Owner, takes_over: str = "") -> None:
+        """Start to follow a trajectory whose result is reported, or to stop its joints if it is empty.
+
+        Parameters
+        ----------
+        source, message, takes_over
+            As in `follow`.
         goal : Goal
             Its joints and tolerances.
         owner : Owner
             Receives its progress.
-        takes_over : str
-            Reported for the paths that it replaces; empty: names the source.
 
         Raises
         ------
@@ -98,8 +225,7 @@ class Goals:
         """
         active = _Active(owner, source, goal)
         if not message.size:
-            reason = takes_over or f"an empty trajectory on {source} stopped it"
-            goal.stopping(self._trajectories.stop(source, message.joint_names, reason))
+            goal.stopping(self.stop(source, message.joint_names, takes_over))
             self._active.append(active)
             return
 
@@ -118,15 +244,8 @@ class Goals:
             owner.postponed()
             return True
 
-        active.plan = self._trajectories.follow(
-            source,
-            message,
-            begun=begun,
-            refused=goal.refused,
-            abandoned=goal.abandoned,
-            postponed=postponed,
-            takes_over=takes_over or None,
-        )
+        events = PathEvents(begun, goal.refused, goal.abandoned, postponed)
+        active.plan = self.follow(source, message, events, takes_over)
         self._active.append(active)
 
     def on_sample(self, tick: int, stamp_ns: int, position: Sequence[float], velocity: Sequence[float]) -> None:
@@ -143,7 +262,7 @@ class Goals:
         """
         for active in list(self._active):
             goal = active.goal
-            axes = [self._joints.index(joint) for joint in goal.joints]
+            axes = self._axes(goal.joints)
             actual = _measured([position[axis] for axis in axes], [velocity[axis] for axis in axes])
             desired = None if active.path is None else active.path.state(tick * PERIOD)
             if active.owner.cancelling():
@@ -172,7 +291,7 @@ class Goals:
     def _stop(self, active: _Active) -> None:
         """Stop the joints of a cancelled goal."""
         try:
-            end = self._trajectories.stop(active.source, active.goal.joints, CANCELED)
+            end = self._halt(active.source, active.goal.joints, CANCELED)
         except Rejected as error:
             active.goal.failed(str(error))
         else:
@@ -184,7 +303,10 @@ class Goals:
         joints = [joint for joint, path in active.paths.items() if paths.get(joint) is path]
         if joints:
             with contextlib.suppress(Rejected):  # the board has stopped them already
-                self._trajectories.stop(active.source, joints, active.goal.outcome.text)
+                self._halt(active.source, joints, active.goal.outcome.text)
+
+    def _axes(self, joints: Sequence[str]) -> list[int]:
+        return [self._joints.index(joint) for joint in joints]
 
 
 def _measured(position: Sequence[float], velocity: Sequence[float]) -> State:

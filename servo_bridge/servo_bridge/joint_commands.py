@@ -138,6 +138,7 @@ class JointCommands:
         streamed = {axis: point for axis, point in points.items() if point.streamed}
         if not streamed:
             return
+        context.arbiter.check_source(_SOURCE, streamed)
         limits = context.limits()
         if limits is None:
             raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in 1 s")
@@ -153,7 +154,7 @@ class JointCommands:
             limits = context.limits()
             assert limits is not None
             assert arrival is not None
-            context.arbiter.admit(_SOURCE, streamed)
+            context.arbiter.admit_path(_SOURCE, streamed)
             self._streamer.take(streamed, stamp, arrival, limits)
             self._streamed |= {axis: point.position for axis, point in streamed.items() if point.position is not None}
             self._streamer.advance(arrival)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from servo_msgs_py.answers import LEASE_TIMEOUT, TICKET, Answer, Phase
@@ -17,10 +18,10 @@ from servo_bridge.goals import Goals
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory import tolerances
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
+from servo_bridge.trajectory.follower import PathEvents
 from servo_bridge.trajectory.goal import Goal, GoalDefaults
 from servo_bridge.trajectory.message import BYTES_MAX, TrajectoryMessage, read
 from servo_bridge.trajectory.path import State
-from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_msgs_py import topics
 
 _SOURCE: Final = topics.JOINT_TRAJECTORY
@@ -94,10 +95,8 @@ class PathCommands:
     ----------
     context : CommandContext
         Node, and counters of refusals.
-    trajectories : TrajectoryTopics
-        Starts trajectories without a ticket.
     goals : Goals
-        Follows trajectories with a ticket.
+        Follows trajectories.
     answers : Answers
         Publisher of the answers.
     defaults : GoalDefaults
@@ -109,13 +108,12 @@ class PathCommands:
     def __init__(
         self,
         context: CommandContext,
-        trajectories: TrajectoryTopics,
         goals: Goals,
         answers: Answers,
         defaults: GoalDefaults,
         warn: Callable[[str], None],
     ) -> None:
-        self._context, self._trajectories, self._goals = context, trajectories, goals
+        self._context, self._goals = context, goals
         self._answers, self._defaults, self._warn = answers, defaults, warn
         self._leases: dict[str, Lease] = {}  # by ticket
         node, qos = context.node, command_qos()
@@ -142,10 +140,10 @@ class PathCommands:
             if ticket.startswith(TICKET):
                 self._begin(ticket, message)
             elif message.size:
-                refused = self._context.reject
-                self._trajectories.follow(_SOURCE, message, refused=lambda error: refused(_SOURCE, error))
+                reject = partial(self._context.reject, _SOURCE)
+                self._goals.follow(_SOURCE, message, PathEvents(lambda _: None, reject, postponed=lambda: True))
             else:
-                self._trajectories.stop(_SOURCE, message.joint_names)
+                self._goals.stop(_SOURCE, message.joint_names)
         except Rejected as error:
             self._context.reject(_SOURCE, error)
             code = error.code if isinstance(error, TrajectoryError) else ErrorCode.INVALID_GOAL

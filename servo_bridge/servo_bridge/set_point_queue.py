@@ -79,7 +79,13 @@ class PathSource(Protocol):
         """The board has refused points of these axes; True: their path begins later."""
         ...
 
-    def cancel(self, axis: int, reason: str) -> None: ...
+    def end(self, axis: int, reason: str) -> None:
+        """End the path of an axis; a request for this axis stays."""
+        ...
+
+    def cancel(self, axis: int, reason: str) -> None:
+        """End the path of an axis, and refuse a request for it."""
+        ...
 
 
 class SetPointQueue:
@@ -117,7 +123,7 @@ class SetPointQueue:
         self._end_path(axis, reason)
 
     def halt(self, axes: Iterable[int], reason: str) -> None:
-        """Stop axes with the acceleration limit of the board and hold, whatever they follow.
+        """Stop axes with the acceleration limit of the board and hold, whatever they follow or will follow.
 
         A change of the mode has this effect on the board; it needs no planning and cannot be refused.
         """
@@ -125,6 +131,14 @@ class SetPointQueue:
         self._stop(axes)
         for axis in axes:
             self.drop(axis, reason)
+
+    def halt_paths(self, axes: Iterable[int], reason: str) -> None:
+        """Stop axes as `halt`, but only their paths end: a requested one begins when they hold."""
+        assert self._paths is not None
+        axes = list(axes)
+        self._stop(axes)
+        for axis in axes:
+            self._paths.end(axis, reason)
 
     def forget_modes(self) -> None:
         """Forget the modes, so that they are written again."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -64,7 +64,24 @@ class Sources:
             return None
         return self._conflict[1]
 
-    def claim(self, source: Source, axes: Iterable[int], joints: Collection[str], following: Collection[int]) -> None:
+    def require(self, topic: str, axes: Iterable[int], joints: Sequence[str], following: Collection[int]) -> None:
+        """Check that a topic may command some axes; arguments as in `claim`.
+
+        Raises
+        ------
+        Rejected
+            If another topic has precedence.
+        """
+        for axis in axes:
+            topics = {each.topic for each in self._active(axis, axis in following)}
+            if self.preferred != topic and self.preferred in topics:
+                stop = _STOP.get(self.preferred, "stop it")
+                raise Rejected(
+                    f"{topic}: {self.preferred} commands {joints[axis]} and has precedence (parameter "
+                    f"preferred_source); {stop} and wait {FRESH:g} s"
+                )
+
+    def claim(self, source: Source, axes: Iterable[int], joints: Sequence[str], following: Collection[int]) -> None:
         """Register a command of some axes.
 
         Parameters
@@ -73,32 +90,19 @@ class Sources:
             Source of the command.
         axes : iterable of int
             The axes.
-        joints : collection of str
+        joints : sequence of str
             Names of all joints.
         following : collection of int
             Axes that follow a trajectory; the last source of each stays active until its end.
-
-        Raises
-        ------
-        Rejected
-            If another source has precedence; then nothing is changed.
         """
-        now, names, axes = self._clock(), list(joints), list(axes)
-        active = {axis: self._active(axis, now, axis in following) for axis in axes}
-        for axis, sources in active.items():
-            topics = {each.topic for each in sources}
-            if self.preferred != source.topic and self.preferred in topics:
-                stop = _STOP.get(self.preferred, "stop it")
-                raise Rejected(
-                    f"{source.topic}: {self.preferred} commands {names[axis]} and has precedence (parameter "
-                    f"preferred_source); {stop} and wait {FRESH:g} s"
-                )
-        for axis, sources in active.items():
+        now = self._clock()
+        for axis in axes:
+            sources = self._active(axis, axis in following)
             last = next(reversed(sources), source)
             # A change of the source is no conflict; a source that returns while active is.
             if last != source and source in sources:
                 pair = sorted((last, source), key=lambda each: (each.topic, each.quantity))
-                self._conflict = now, Conflict(names[axis], *pair)
+                self._conflict = now, Conflict(joints[axis], *pair)
             sources.pop(source, None)
             sources[source] = now
             self._seen[axis] = sources
@@ -116,7 +120,7 @@ class Sources:
         """Register that an axis has been stopped otherwise: a source must be admitted again."""
         self._holders.pop(axis, None)
 
-    def _active(self, axis: int, now: float, following: bool) -> dict[Source, float]:
-        seen = self._seen.get(axis, {})
+    def _active(self, axis: int, following: bool) -> dict[Source, float]:
+        now, seen = self._clock(), self._seen.get(axis, {})
         last = next(reversed(seen), None) if following else None
         return {each: when for each, when in seen.items() if each == last or now - when < FRESH}

@@ -67,7 +67,6 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory_limits import path_limits
-from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_bridge.tuning.service import TuningService
 from servo_bridge.variable_topics import VariableTopics
 from servo_bridge.wire.board_clock import BoardClock, WallClock
@@ -162,13 +161,10 @@ class Supervisor:
             self._catalogue, settings.joints, self._check_path, work=self._plan_aside, line=self._point_line
         )
         self._arbiter.queue.follow(self._follower)
-        self._trajectories = TrajectoryTopics(
-            self._commands, self._follower, origin_ns=self._origin_ns, info=self._info
-        )
         self._answers = Answers(node)
-        self._goals = Goals(self._joints, self._trajectories, self._follower)
+        self._goals = Goals(self._commands, self._follower, origin_ns=self._origin_ns, info=self._info)
         self._path_commands = PathCommands(
-            self._commands, self._trajectories, self._goals, self._answers, settings.goal_defaults, self._warn
+            self._commands, self._goals, self._answers, settings.goal_defaults, self._warn
         )
         self._action = self._offer_action()
         self._streamer = Streamer(

@@ -482,7 +482,7 @@ def test_other_sources_are_refused_while_the_preferred_source_is_active() -> Non
     with pytest.raises(Rejected, match=r"^commands: joint_commands commands axis1 .* make the hardware inactive"):
         subject.submit(request({0: 2.0, 1: 2.0}, source="commands"))
     with pytest.raises(Rejected, match=r"^joint_trajectory: joint_commands commands axis1"):
-        subject.admit("joint_trajectory", [0, 1])
+        subject.check_source("joint_trajectory", [0, 1])
     assert drain(subject) == []
     subject.submit(request({1: 2.0}, source="commands"))
     clock.now += 1.0
@@ -505,8 +505,10 @@ class Following:
     def postpone(self, axes: Collection[int]) -> bool:
         return False
 
-    def cancel(self, axis: int, reason: str) -> None:
+    def end(self, axis: int, reason: str) -> None:
         self.axes.discard(axis)
+
+    cancel = end
 
 
 def test_a_preferred_trajectory_is_not_interrupted_before_its_end() -> None:
@@ -514,7 +516,7 @@ def test_a_preferred_trajectory_is_not_interrupted_before_its_end() -> None:
     paths = Following()
     subject.queue.follow(paths)
     sources.preferred = "joint_trajectory"
-    subject.admit("joint_trajectory", [0])
+    subject.admit_path("joint_trajectory", [0])
     paths.axes = {0}
     clock.now += 60.0
     with pytest.raises(Rejected, match="has precedence"):

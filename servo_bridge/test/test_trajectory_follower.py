@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.follower import LEAD, AxisReport, Follower
+from servo_bridge.trajectory.follower import LEAD, AxisReport, Follower, PathEvents
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import path_through
@@ -34,6 +35,7 @@ class Rig:
         self.checked: list[Path] = []
         self.joints = joints
         self.follower = Follower(CATALOGUE, joints, self.checked.append, clock=lambda: self.time)
+        self.on = PathEvents(self.ends.append, lambda error: self.refusals.append(str(error)))
         self.tick = 8000
         self.time = 0.0  # time of the host [s]
         self.references = [1.0, -2.0]
@@ -57,7 +59,12 @@ class Rig:
                 self.leads += [point.tick - self.tick for point in points]
 
     def move(
-        self, goal: list[float], seconds: float = 0.5, joints: list[str] | None = None, start: float = 0.0
+        self,
+        goal: list[float],
+        seconds: float = 0.5,
+        joints: list[str] | None = None,
+        start: float = 0.0,
+        size: int = 0,
     ) -> None:
         names = joints or JOINTS
 
@@ -66,7 +73,7 @@ class Rig:
             waypoints = Waypoints.of(names, [begin + seconds], [goal])
             return path_through(waypoints, running.select(names).state(begin), begin)
 
-        self.follower.request(names, plan, self.ends.append, lambda error: self.refusals.append(str(error)), start)
+        self.follower.request(names, plan, self.on, start=start, size=size)
 
     def of(self, axis: int) -> list[TimedPoint]:
         return [point for point in self.sent if point.axis == axis]
@@ -102,7 +109,7 @@ def test_start_of_a_path_is_delayed_by_its_computing_time(rig: Rig) -> None:
         waypoints = Waypoints.of(JOINTS, [now + 0.5], [[2.0, 2.0]])
         return path_through(waypoints, running.state(now), now)
 
-    rig.follower.request(JOINTS, plan, rig.ends.append, lambda error: rig.refusals.append(str(error)))
+    rig.follower.request(JOINTS, plan, rig.on)
     rig.tick += SAMPLE
     known = rig.tick * PERIOD
     rig.follower.on_sample(rig.tick, [AxisReport(place, follows=True) for place in rig.references])
@@ -185,7 +192,7 @@ def test_distance_of_points_is_not_below_the_minimum_of_the_board(spacing: int) 
     for phase in range(0, spacing, 2):
         rig = Rig()
         rig.sample(2)
-        rig.follower.request(["axis1"], plan, rig.ends.append, lambda error: pytest.fail(str(error)))
+        rig.follower.request(["axis1"], plan, rig.on)
         rig.sample(3)
         rig.tick += phase
         rig.move([1.5], joints=["axis1"])
@@ -199,17 +206,33 @@ def test_distance_of_points_is_not_below_the_minimum_of_the_board(spacing: int) 
         assert min(np.diff(queue)) >= 16
 
 
-def test_a_refused_path_causes_no_motion(rig: Rig) -> None:
+def test_a_path_that_is_refused_at_its_begin_causes_no_motion(rig: Rig) -> None:
     def refuse(_: Path) -> None:
-        raise TrajectoryError("too fast")
+        raise ValueError("planted")
 
     rig.follower = Follower(CATALOGUE, DEFAULT_JOINTS, refuse)
     rig.sample(2)
     rig.move([2.0, 2.0])
     rig.sample(5)
-    assert rig.refusals == ["too fast"]
+    (refusal,) = rig.refusals
+    assert "planted" in refusal
     assert not rig.sent
     assert rig.follower.axes == frozenset()
+
+
+def test_a_path_that_is_refused_at_its_request_changes_nothing(rig: Rig) -> None:
+    def refuse(path: Path) -> None:
+        if path.duration < 0.1:
+            raise TrajectoryError("too fast")
+
+    rig.follower = Follower(CATALOGUE, DEFAULT_JOINTS, refuse)
+    rig.sample(2)
+    rig.move([2.0, 2.0], start=rig.tick * PERIOD + 1.0)
+    with pytest.raises(TrajectoryError, match="too fast"):
+        rig.move([3.0, 3.0], seconds=0.05, size=1)
+    rig.sample(150)
+    assert not rig.refusals
+    assert rig.of(0)[-1].position == pytest.approx(2.0, abs=1e-6)
 
 
 def test_a_cancelled_axis_gets_no_more_points(rig: Rig) -> None:
@@ -232,6 +255,30 @@ def test_pending_request_is_notified_of_replacement_and_cancellation(rig: Rig) -
     assert rig.refusals[1] == "the link was lost"
 
 
+def test_pending_requests_of_different_joints_are_independent(rig: Rig) -> None:
+    start = rig.tick * PERIOD + 1.0
+    rig.move([2.0], joints=["axis1"], start=start)
+    rig.move([0.0], joints=["axis2"])
+    rig.sample(20)
+    assert rig.of(1)
+    assert not rig.of(0)
+    rig.follower.cancel(1, "a set-point took over")
+    rig.sample(160)
+    assert not rig.refusals
+    assert rig.of(0)[-1].position == pytest.approx(2.0, abs=1e-6)
+
+
+def test_a_pending_request_outlives_the_end_of_the_path_before_it(rig: Rig) -> None:
+    rig.move([3.0, 3.0], seconds=5.0)
+    rig.sample(30)
+    rig.move([2.0, 2.0], start=rig.tick * PERIOD + 1.0)
+    for axis in range(2):
+        rig.follower.end(axis, "cancelled")
+    rig.sample(170)
+    assert not rig.refusals
+    assert rig.of(0)[-1].position == pytest.approx(2.0, abs=1e-6)
+
+
 def test_efforts_become_currents() -> None:
     rig = Rig()
     rig.follower.torque_constants = [0.05, 0.05]
@@ -242,7 +289,7 @@ def test_efforts_become_currents() -> None:
             Waypoints.of(["axis1"], [now, now + 0.1], [[1.0], [1.0]], [[0.0], [0.0]], efforts=[[0.01], [0.02]])
         )
 
-    rig.follower.request(["axis1"], plan, rig.ends.append, lambda error: rig.refusals.append(str(error)))
+    rig.follower.request(["axis1"], plan, rig.on)
     rig.sample(20)
     assert not rig.refusals
     assert rig.of(0)[0].current == pytest.approx(0.2, abs=1e-3)
@@ -261,7 +308,7 @@ def test_points_of_a_geared_reversed_joint_are_those_of_its_motor() -> None:
         rest = [[0.0], [0.0]]
         return path_through(Waypoints.of(["axis1"], [now, now + 1.0], ends, rest, rest, efforts=[[0.5], [0.5]]))
 
-    rig.follower.request(["axis1"], plan, rig.ends.append, lambda error: rig.refusals.append(str(error)))
+    rig.follower.request(["axis1"], plan, rig.on)
     rig.sample(150)
     assert not rig.refusals
     points = rig.of(0)
@@ -297,11 +344,8 @@ class Late:
         self.rig.follower.request(
             joints,
             plan,
-            self.rig.ends.append,
-            lambda error: self.rig.refusals.append(str(error)),
-            start,
-            abandoned=self.abandoned.append,
-            postponed=lambda: self.wanted,
+            replace(self.rig.on, abandoned=self.abandoned.append, postponed=lambda: self.wanted),
+            start=start,
         )
         self.send()
 

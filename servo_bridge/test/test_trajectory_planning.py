@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 import pytest
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.follower import QUICK, AxisReport, Follower
+from servo_bridge.trajectory.follower import QUICK, AxisReport, Follower, PathEvents
 from servo_bridge.trajectory.line_capacity import PointLine
 from servo_bridge.trajectory.message import TrajectoryMessage, check_size, converted
 from servo_bridge.trajectory.path import Path
@@ -35,6 +35,7 @@ class Rig:
         self.works: list[Callable[[], None]] = []
         self.refusals: list[str] = []
         self.ends: list[float] = []
+        self.on = PathEvents(self.ends.append, lambda error: self.refusals.append(str(error)))
         self.time = 0.0  # s
         self.tick = 8000
         self.references = [0.0, 0.0]
@@ -69,9 +70,7 @@ class Rig:
             rows += noise * np.random.default_rng(1).standard_normal(rows.shape)
             return path_through(Waypoints.of(JOINTS, now + t, rows), running.state(now), now)
 
-        self.follower.request(
-            JOINTS, plan, self.ends.append, lambda error: self.refusals.append(str(error)), size=count, movable=True
-        )
+        self.follower.request(JOINTS, plan, self.on, size=count, movable=True)
 
 
 def test_long_path_is_planned_beside_the_samples_and_moved_to_its_start() -> None:
@@ -145,13 +144,44 @@ def test_path_of_a_joint_that_never_rests_is_refused() -> None:
     assert rig.refusals == ["its joints moved while it was planned; stop them first"]
 
 
+def test_path_of_moving_joints_is_refused_if_its_start_passes_while_it_is_planned() -> None:
+    rig = Rig()
+    rig.follow(QUICK, 10.0)
+    rig.sample()
+    rig.follow(1000)
+    rig.works.pop(0)()
+    for seconds in (3.0, 8.0):
+        rig.sample()
+        assert not rig.refusals
+        rig.sample(round(seconds / (SAMPLE * PERIOD)))
+        rig.works.pop(0)()
+    (refusal,) = rig.refusals
+    assert "its planning takes 8.0 s" in refusal
+    assert len(rig.ends) == 1
+
+
+def test_replaced_path_is_not_planned() -> None:
+    rig = Rig()
+    planned: list[int] = []
+
+    def plan(_running: Path, _now: float) -> Path:
+        planned.append(1)
+        raise TrajectoryError("planted")
+
+    rig.follower.request(JOINTS, plan, rig.on, size=QUICK + 1)
+    rig.follow(QUICK)
+    rig.works.pop(0)()
+    assert not planned
+    assert len(rig.refusals) == 1
+
+
 def test_error_of_a_long_path_is_its_refusal() -> None:
     rig = Rig()
 
     def fail(_running: Path, _now: float) -> Path:
         raise ValueError("planted")
 
-    rig.follower.request(JOINTS, fail, rig.ends.append, lambda error: rig.refusals.append(str(error)), size=QUICK + 1)
+    rig.follower.request(JOINTS, fail, rig.on, size=QUICK + 1)
     rig.works.pop(0)()
     assert "planted" in rig.refusals[0]
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from unittest import mock
 
 import pytest
 from bridge_rig import FAULT, SPIN, Rig
 from builtin_interfaces.msg import Duration
+from rclpy import duration
 from sensor_msgs.msg import JointState
+from servo_bridge.trajectory.goal import Goal
+from servo_bridge.trajectory.message import converted
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import command_qos
 from servo_msgs_py.timed_points import TimedPoint, decode_points
@@ -115,6 +119,30 @@ def test_a_set_point_replaces_the_path(rig: Rig) -> None:
     assert len(sampled(rig)) == known
 
 
+def test_cancelling_a_goal_does_not_refuse_a_pending_one(rig: Rig) -> None:
+    supervisor = rig.bridge.supervisor
+    assert supervisor is not None
+    owners = mock.MagicMock(), mock.MagicMock()
+    first, second = (Goal(["axis1", "axis2"], {}, {}, 0.0) for _ in owners)
+    for owner in owners:
+        owner.cancelling.return_value = False
+    supervisor._goals.begin("test", converted(trajectory((5.0, [1.0, -1.0]))), first, owners[0])
+    rig.until(lambda: len(sampled(rig)) >= 2)
+    later = trajectory((0.5, [0.5, 0.5]))
+    later.header.stamp = (rig.user.get_clock().now() + duration.Duration(seconds=30.0)).to_msg()
+    supervisor._goals.begin("test", converted(later), second, owners[1])
+    owners[0].cancelling.return_value = True
+
+    def ended() -> bool:
+        sampled(rig)
+        return first.ended
+
+    rig.until(ended)
+    assert first.canceled
+    assert not second.ended
+    assert supervisor._follower.claimed == {0, 1}
+
+
 def test_a_stop_takes_as_long_as_the_shaft_needs_if_no_path_moves_it(rig: Rig) -> None:
     """As with a velocity set-point; joints of a path have its velocity."""
     rig.link.values["axis1.speed"] = CATALOGUE["axis1.speed"].to_raw(-200.0)
@@ -122,5 +150,5 @@ def test_a_stop_takes_as_long_as_the_shaft_needs_if_no_path_moves_it(rig: Rig) -
     supervisor = rig.bridge.supervisor
     assert supervisor is not None
     rig.until(lambda: rig.messages[topics.JOINT_STATES] and rig.messages[topics.JOINT_STATES][-1].velocity[0] < -199.0)
-    end = supervisor._trajectories.stop("test", ["axis1"])
+    end = supervisor._goals.stop("test", ["axis1"])
     assert end - supervisor._follower.now == pytest.approx(0.1 + 200.0 / 4000.0, abs=1e-3)

@@ -98,6 +98,23 @@ class Planned:
     lead: float  # time that the line needs from the first write to the first point [s]
 
 
+@dataclass(frozen=True)
+class PathEvents:
+    """What the follower calls in the course of a request."""
+
+    begun: Callable[[float], None]
+    """With the end of the path [s] when its first points are about to be sent."""
+    refused: Callable[[TrajectoryError], None]
+    """Instead of `begun`, with the reason."""
+    abandoned: Callable[[str], None] = lambda _: None
+    """With the reason if the path has begun but is not followed to its end; once per joint."""
+    postponed: Callable[[], bool] = lambda: False
+    """If the first points of a path from standstill have reached the board too late. True: the path is planned again
+    and begins later; False: it is abandoned. A path with a start time is always abandoned."""
+    checked: Callable[[], None] = lambda: None
+    """The path is accepted. It begins when its axes are ready: those without a path are stopped now."""
+
+
 @dataclass
 class _Request:
     """Request of a path, and its progress."""
@@ -105,14 +122,12 @@ class _Request:
     axes: tuple[int, ...]
     plan: Plan
     start: float  # not before this time [s]
-    begun: Callable[[float], None]
-    refused: Callable[[TrajectoryError], None]
-    abandoned: Callable[[str], None] | None
-    postponed: Callable[[], bool] | None
+    on: PathEvents
     takes_over: str
     size: int  # number of waypoints
     movable: bool  # the whole path may be moved in time
-    checked: bool = False  # it has been planned once, without regard to its limits
+    checked: bool = False  # it has been planned once
+    pending: bool = True  # it has neither begun nor ended; read by the thread of the planner
     planning: bool = False  # it is being planned
     plannings: int = 0  # number of plannings since it was ready
     attempt: int = 0  # index in `_LEADS`
@@ -182,7 +197,7 @@ class Follower:
         self._gears = list(joints)
         self._check = check
         self._axes = [_Axis(PointQueue(axis)) for axis in range(AXES)]
-        self._request: _Request | None = None
+        self._requests: list[_Request] = []  # of different axes
         self._now = 0
         self._sampled = 0.0  # time of the host at the newest sample [s]
         self.torque_constants: Sequence[float] | None = None
@@ -192,18 +207,14 @@ class Follower:
         self,
         joints: Sequence[str],
         plan: Plan,
-        begun: Callable[[float], None],
-        refused: Callable[[TrajectoryError], None],
+        on: PathEvents,
+        *,
         start: float = 0.0,
-        abandoned: Callable[[str], None] | None = None,
-        postponed: Callable[[], bool] | None = None,
         takes_over: str = "another trajectory took over",
         size: int = 0,
         movable: bool = False,
     ) -> None:
-        """Follow a path as soon as the axes are ready; a pending request is replaced.
-
-        A path of up to `QUICK` waypoints has been planned once by the caller, to refuse its errors at once.
+        """Follow a path as soon as its axes are ready; pending requests of these axes are replaced when it is checked.
 
         Parameters
         ----------
@@ -211,56 +222,78 @@ class Follower:
             Joints of the path.
         plan : Plan
             Plans the path when the state at its begin is known.
-        begun : callable
-            Called with the end of the path [s] when its first points are about to be sent.
-        refused : callable
-            Called instead if the path is refused.
+        on : PathEvents
+            Receives the progress.
         start : float
             Earliest begin [s].
-        abandoned : callable, optional
-            Called with the reason if the path has begun but is not followed to its end; once per joint.
-        postponed : callable, optional
-            Called if the first points of a path from standstill have reached the board too late. True: the path is
-            planned again and begins later. False, or without this function: it is abandoned. A path with `start` is
-            always abandoned.
         takes_over : str
-            Reported for the replaced paths and request.
+            Reported for the replaced paths and requests.
         size : int
-            Number of waypoints; paths of more than `QUICK` are planned in another thread.
+            Number of waypoints. A path with waypoints is checked before it changes anything: up to `QUICK` at once,
+            longer ones in another thread. Without waypoints the path is planned only when it begins.
         movable : bool
             The path of resting joints may be moved in time by whole PWM periods instead of being planned again.
+
+        Raises
+        ------
+        TrajectoryError
+            If the path of up to `QUICK` waypoints is refused; then nothing is changed.
         """
-        if self._request is not None:
-            self._request.refused(TrajectoryError(takes_over))
         axes = tuple(self._joints.index(joint) for joint in joints)
-        self._request = _Request(axes, plan, start, begun, refused, abandoned, postponed, takes_over, size, movable)
+        request = _Request(axes, plan, start, on, takes_over, size, movable)
+        check = partial(self._checked, request, self.running(), self.now + LEAD)
+        if 0 < size <= QUICK:
+            check()
+        self._requests.append(request)
         if size > QUICK:
-            self._work(partial(plan, self.running(), self.now), partial(self._take_check, self._request))
+            self._work(check, partial(self._take_check, request))
         else:
-            self._request.checked = True
+            self._accept(request)
+
+    def _checked(self, request: _Request, running: Path, time: float) -> Path:
+        """Path of a request that begins at a time [s] or later, within the limits."""
+        _require_pending(request)
+        path = request.plan(running, time)
+        _require_pending(request)
+        self._check(path)
+        return path
+
+    def _accept(self, request: _Request) -> None:
+        """Replace the earlier requests of the axes of a checked one."""
+        for other in self._requests[: self._requests.index(request)]:
+            if set(other.axes) & set(request.axes):
+                self._refuse(other, TrajectoryError(request.takes_over))
+        request.checked = True
+        request.on.checked()
 
     def _take_check(self, request: _Request, done: Future[Path]) -> None:
         """Go on with a long path whose first planning is complete, or refuse it; until then it changes nothing."""
+        if request not in self._requests:
+            return
         error = done.exception()
         if error is None:
-            request.checked = True
-        elif self._request is request:
+            self._accept(request)
+        else:
             self._refuse(request, _reported(error))
 
     def withdraw(self, plan: Plan) -> None:
         """Discard a request that has not begun, without a result."""
-        if self._request is not None and self._request.plan is plan:
-            self._request = None
+        for request in self._requests.copy():
+            if request.plan is plan:
+                self._remove(request)
+
+    def end(self, axis: int, reason: str) -> None:
+        """Discard the path of an axis; a request for this axis stays, and begins when the axis holds."""
+        ended = self._discard(axis)
+        if ended is not None:
+            ended.on.abandoned(reason)
 
     def cancel(self, axis: int, reason: str) -> None:
         """Discard the path of an axis, and a request for this axis."""
-        ended = self._discard(axis)
-        if ended is not None and ended.abandoned is not None:
-            ended.abandoned(reason)
-        request = self._request
-        if request is not None and axis in request.axes:
-            self._request = None
-            request.refused(TrajectoryError(reason))
+        self.end(axis, reason)
+        for request in self._requests.copy():
+            if axis in request.axes:
+                self._refuse(request, TrajectoryError(reason))
 
     def _discard(self, axis: int) -> _Request | None:
         """Discard the path of an axis and return its request."""
@@ -289,19 +322,22 @@ class Follower:
             False: nothing is changed; the caller ends the paths of these axes.
         """
         request = self._axes[min(axes)].request
-        if request is None or not request.repeatable or self._request is not None:
+        if request is None or not request.repeatable:
+            return False
+        if any(set(other.axes) & set(request.axes) for other in self._requests):
             return False
         if any(self._axes[axis].request is not request for axis in (*axes, *request.axes)):
             return False
         late = self._time() > self._start(request) - _LATE
         if not late or request.start or request.attempt + 1 == len(_LEADS):
             return False
-        if request.postponed is None or not request.postponed():
+        if not request.on.postponed():
             return False
         for axis in request.axes:
             self._discard(axis)
         request.attempt += 1
-        self._request = request
+        request.pending = True
+        self._requests.append(request)
         return True
 
     def _time(self) -> float:
@@ -320,13 +356,17 @@ class Follower:
     @property
     def axes(self) -> frozenset[int]:
         """Axes that must be in mode TRAJECTORY."""
-        requested = set(self._request.axes) if self._request is not None and self._request.checked else set()
-        return frozenset(requested | {axis for axis, one in enumerate(self._axes) if one.path is not None})
+        return self.moving.union(*(request.axes for request in self._requests if request.checked))
+
+    @property
+    def moving(self) -> frozenset[int]:
+        """Axes with a path."""
+        return frozenset(axis for axis, one in enumerate(self._axes) if one.path is not None)
 
     @property
     def claimed(self) -> frozenset[int]:
         """Axes with a path or a request."""
-        return self.axes | frozenset(self._request.axes if self._request is not None else ())
+        return self.moving.union(*(request.axes for request in self._requests))
 
     def paths(self) -> Mapping[str, Path]:
         """Paths by joint."""
@@ -365,7 +405,7 @@ class Follower:
 
     # ---- telemetry
     def on_sample(self, tick: int, reports: Sequence[AxisReport]) -> None:
-        """Process a sample; begin a pending request if the axes are ready.
+        """Process a sample; begin the requests whose axes are ready.
 
         Parameters
         ----------
@@ -382,10 +422,10 @@ class Follower:
             if ended and not (one.request is not None and one.request.repeatable):
                 one.path = one.request = None
                 one.tail.clear()
-        request = self._request
-        if request is not None and request.checked and not request.planning and self._ready(request, reports):
-            request.plannings = 0
-            self._start_planning(request, _LEADS[request.attempt])
+        for request in self._requests.copy():
+            if request.checked and not request.planning and self._ready(request, reports):
+                request.plannings = 0
+                self._start_planning(request, _LEADS[request.attempt])
         for one, report, joint in zip(self._axes, reports, self._gears, strict=True):
             one.held = report.position_ref if report.follows and one.path is None else None
             one.position_ref = joint.position(report.position_ref)
@@ -432,10 +472,12 @@ class Follower:
         line: PointLine | None,
     ) -> Planned:
         """Path of a request that begins at a time [s] or later, and its points; beside the points of other axes."""
-        path = request.plan(running, time)
-        self._check(path)
+        path = self._checked(request, running, time)
         ratios = {joint: self._gears[self._joints.index(joint)].gear_ratio for joint in path.joints}
-        points = thinned(path, timed_points(path, gear_ratios=list(ratios.values())), ratios)
+        _require_pending(request)
+        points = timed_points(path, gear_ratios=list(ratios.values()))
+        _require_pending(request)
+        points = thinned(path, points, ratios)
         if line is None:
             return Planned(path, points, 0.0)
         own = [each.periods for each in points.values()]
@@ -450,7 +492,7 @@ class Follower:
 
     def _take_plan(self, request: _Request, running: Path, lead: float, begin: float, done: Future[Planned]) -> None:
         """Follow a planned path, or plan it again if it comes too late or its joints have moved differently."""
-        if self._request is not request:
+        if request not in self._requests:
             return  # replaced or cancelled in the meantime
         request.planning = False
         error = done.exception()
@@ -463,16 +505,26 @@ class Follower:
         lead_min = max(_LEADS[request.attempt], planned.lead)
         late = path.start_time - self._time() < max(_LEAD_REMAINDER_MIN * lead_min, planned.lead)
         changed = not self._unchanged(request, running, path.start_time)
-        if request.plannings >= _ATTEMPTS and changed:
+        taken = self._clock() - begin
+        if not changed and late and self._can_move(request):
+            self._begin(request, _moved(planned, self._time() + lead_min))
+        elif not (changed or late):
+            self._begin(request, planned)
+        elif changed and request.plannings >= _ATTEMPTS:
             self._refuse(request, TrajectoryError("its joints moved while it was planned; stop them first"))
-        elif changed or (late and lead <= _LEAD_MAX and not self._can_move(request)):
-            self._start_planning(request, max(lead_min, lead + LEAD + 2.0 * (self._clock() - begin)))
+        elif lead > _LEAD_MAX:
+            reason = f"its planning takes {taken:.1f} s, in which its start has passed; send fewer waypoints"
+            self._refuse(request, TrajectoryError(reason))
         else:
-            self._begin(request, _moved(planned, self._time() + lead_min) if late and lead <= _LEAD_MAX else planned)
+            self._start_planning(request, max(lead_min, lead + LEAD + 2.0 * taken))
 
     def _refuse(self, request: _Request, error: TrajectoryError) -> None:
-        self._request = None
-        request.refused(error)
+        self._remove(request)
+        request.on.refused(error)
+
+    def _remove(self, request: _Request) -> None:
+        self._requests.remove(request)
+        request.pending = False
 
     def _can_move(self, request: _Request) -> bool:
         return request.movable and not request.start and all(self._axes[axis].path is None for axis in request.axes)
@@ -485,7 +537,7 @@ class Follower:
         return bool(differences.max() <= _UNCHANGED)
 
     def _begin(self, request: _Request, planned: Planned) -> None:
-        self._request = None
+        self._remove(request)
         path = planned.path
         request.repeatable = all(self._axes[axis].path is None for axis in request.axes)
         for axis in map(self._joints.index, path.joints):
@@ -499,9 +551,9 @@ class Follower:
             own = path.select([joint])
             one.path = own if one.path is None else spliced(one.path, own, self._now * PERIOD)
             replaced, one.request = one.request, request
-            if replaced is not None and replaced.abandoned is not None:
-                replaced.abandoned(request.takes_over)
-        request.begun(path.end_time)
+            if replaced is not None:
+                replaced.on.abandoned(request.takes_over)
+        request.on.begun(path.end_time)
 
     def _put(self, axis: int, points: TimedPoints, *, replaces: bool) -> None:
         joint = self._gears[axis]
@@ -546,9 +598,15 @@ def at_once(work: Callable[[], T], done: Callable[[Future[T]], None]) -> None:
     future: Future[T] = Future()
     try:
         future.set_result(work())
-    except TrajectoryError as error:
+    except Exception as error:  # an exception would end the executor
         future.set_exception(error)
     done(future)
+
+
+def _require_pending(request: _Request) -> None:
+    """End the planning of a request that has been replaced or cancelled; between the steps of the planning."""
+    if not request.pending:
+        raise TrajectoryError("it has ended")
 
 
 def _reported(error: BaseException) -> TrajectoryError:

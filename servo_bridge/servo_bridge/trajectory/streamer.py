@@ -17,7 +17,7 @@ from servo_bridge.admission import JOIN_DISTANCE
 from servo_bridge.set_points import JointSetPoint
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import POINTS_REFUSED, TrajectoryError
-from servo_bridge.trajectory.follower import Follower, Plan
+from servo_bridge.trajectory.follower import Follower, PathEvents, Plan
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.playout import PlayoutFigures
 from servo_bridge.trajectory.shapes import stop
@@ -108,7 +108,6 @@ class Streamer:
         self._delay_max = delay_max
         self._advanced = -math.inf
         self._streams: dict[int, _Joint] = {}
-        self._requested: Plan | None = None
         self._last: StreamReport | None = None
 
     def take(self, points: Mapping[int, JointSetPoint], stamp: float, arrival: float, limits: Sequence[Limits]) -> None:
@@ -136,7 +135,7 @@ class Streamer:
             else:
                 _feed(mine.stream, stamp, arrival, point)
         if new:
-            self._request_axes()
+            self._request_axes(new)
 
     def streams(self, axis: int) -> bool:
         """Whether an axis follows a stream, or will begin to."""
@@ -177,9 +176,8 @@ class Streamer:
         return self._last
 
     # ---- begin and end
-    def _request_axes(self) -> None:
-        """Request the axes of all pending streams; this replaces an earlier request."""
-        axes = [axis for axis, mine in self._streams.items() if mine.stream is None]
+    def _request_axes(self, axes: Sequence[int]) -> None:
+        """Request the begin of new streams."""
         joints = [self._joints[axis] for axis in axes]
         arrival = max(self._streams[axis].waiting[0][1] for axis in axes)
 
@@ -202,8 +200,6 @@ class Streamer:
                 mine.waiting.clear()
 
         def refused(_error: TrajectoryError) -> None:
-            if self._requested is not plan:
-                return  # requested again, together with another axis
             for axis in axes:
                 self._streams.pop(axis, None)
 
@@ -211,8 +207,7 @@ class Streamer:
             if reason == POINTS_REFUSED:
                 self._lead = min(self._lead + _REFUSED, _LEAD_MAX)
 
-        self._requested = plan
-        self._follower.request(joints, plan, begun, refused, abandoned=abandoned)
+        self._follower.request(joints, plan, PathEvents(begun, refused, abandoned))
 
     def _begin(self, axis: int, position: float, velocity: float, begin: int) -> None:
         """Create the stream of a joint; repeated if the path is planned again for a later begin."""
