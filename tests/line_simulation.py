@@ -87,13 +87,13 @@ class Host:
     def write(self, name: str, *values: float, first: int = 0) -> None:
         """Write consecutive elements of a variable, in SI units."""
         variable = self._line.board.catalogue[name]
-        data = b"".join(variable.raw_type.pack(variable.to_raw(value)) for value in values)
+        data = variable.pack(map(variable.to_raw, values))
         self.client.write_memory(self._line.board.address(name) + first * variable.element_size, data)
 
     def write_raw(self, name: str, *raw: int, first: int = 0) -> None:
         """Write consecutive elements of a variable, as raw integers."""
         variable = self._line.board.catalogue[name]
-        data = b"".join(variable.raw_type.pack(value) for value in raw)
+        data = variable.pack(raw)
         self.client.write_memory(self._line.board.address(name) + first * variable.element_size, data)
 
     def command(self, name: str) -> None:

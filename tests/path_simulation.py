@@ -101,12 +101,10 @@ class PathSimulation:
 
     def _write(self, write: CommandWrite) -> None:
         variable = CATALOGUE[write.variable]
-        raw = [*write.raw, *[0] * (variable.count - write.first - len(write.raw))]
-        data = variable.encode_raw([0] * write.first + raw)
-        begin, end = (k * variable.element_size for k in (write.first, write.first + len(write.raw)))
+        offset, data = variable.encode_part(write.raw, write.first)
         error = None
         try:
-            self.board.write_memory(self.board.address(write.variable) + begin, data[begin:end])
+            self.board.write_memory(self.board.address(write.variable) + offset, data)
         except BoardError as refusal:
             error = f"{refusal}: {CATALOGUE.label('point_refusal_t', self.board.read_raw('point_refusal')[0])}"
         self._unacknowledged.append((write, error))

@@ -90,7 +90,7 @@ class Host:
             for part in (min(CHUNK, size * count - at),)
         )
         variables = [self.variable(name) for name in names]
-        dtype = np.dtype([(v.name, f"<{'i' if v.raw_type.signed else 'u'}{v.size}") for v in variables])
+        dtype = np.dtype([(v.name, f"<{'i' if v.format.signed else 'u'}{v.size}") for v in variables])
         assert dtype.itemsize == size
         points = np.roll(np.frombuffer(data, dtype), -first)
         return {name: points[name].astype(np.int64) for name in names}

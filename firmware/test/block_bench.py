@@ -26,7 +26,7 @@ class BlockBench(Bench):
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
         variable = self.catalogue.variables[name]
-        data = b"".join(variable.raw_type.pack(word) for word in words)
+        data = variable.pack(words)
         status = self.core.lib.servo_write(self.servo, self.address(name), data, len(data))
         assert status in (0, OUT_OF_RANGE)
         return bool(status == 0)

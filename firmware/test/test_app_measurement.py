@@ -67,7 +67,7 @@ class Session(BlockBench):
         take_blocks(self, [axis], self.tick)
 
     def write_one(self, name: str, word: int, axis: int = 0) -> int:
-        data = CATALOGUE[name].raw_type.pack(word)
+        data = CATALOGUE[name].pack([word])
         status: int = self.core.lib.servo_write(self.servo, self.address(name, axis), data, len(data))
         return status
 

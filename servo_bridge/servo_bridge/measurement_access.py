@@ -24,7 +24,7 @@ from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
 from servo_bridge.tool_values import UnknownVariableError
 from servo_bridge.wire.keep_alive import kept_alive
-from servo_bridge.wire.session import Session, element_bytes
+from servo_bridge.wire.session import Session
 
 _FAST, _SLOW = 0, 1
 _LEAD: Final = 0.2  # longer than the detection of the end of a recording, and its stop [s]
@@ -61,7 +61,7 @@ class SessionAccess(BoardAccess):
         return self.catalogue[name].decode_raw(self._session.client.read_memory(variable.address, variable.size))
 
     def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        offset, data = element_bytes(self.catalogue[name], words, first)
+        offset, data = self.catalogue[name].encode_part(words, first)
         try:
             self._session.client.write_memory(self._session.variables[name].address + offset, data)
         except StatusError as error:

@@ -127,7 +127,7 @@ def describe(variables: Iterable[BoardVariable], catalogue: Catalogue) -> list[t
         if variable.is_block:
             count = f"[{variable.size}]"
         access = "rw" if variable.target.writable else "ro"
-        text = "" if contract is None else contract.description
+        text = "" if contract is None else contract.text
         if contract is not None and (labels := value_text_of.labels_of(contract, catalogue)):
             text += f": {', '.join(labels)}"
         rows.append((variable.name, type_ + count, access, variable.unit, limits_text(contract), text))

@@ -47,7 +47,7 @@ class FakeServo(FakeTarget):
         address = BASE
         for v in catalogue.variables.values():
             size = v.size or (recorded_fault.SIZE if v.name.endswith("fault_record") else 120)
-            kind = v.enum.encode() if v.enum else bytes([v.raw_type.tsa])
+            kind = v.enum.encode() if v.enum else bytes([v.format.tsa])
             table.append(FakeEntry(v.name, kind, address, size, RW if v.writable else RO))
             self.addresses[v.name] = address
             address += (size + 3) & ~3

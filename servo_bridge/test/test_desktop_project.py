@@ -42,7 +42,7 @@ def test_values_are_scaled_to_si(name: str) -> None:
     linear = members(OBJECTS[found["value_trf"]])
     assert (float(linear["a"]), float(linear["b"])) == (variable.lsb, 0.0)
     assert (found["unit"], int(found["byte_size"])) == (variable.unit, variable.element_size)
-    assert (found["treat_as"], found["address"]) == (str(int(variable.raw_type.signed)), name)
+    assert (found["treat_as"], found["address"]) == (str(int(variable.format.signed)), name)
 
 
 def test_states_have_their_labels_and_only_commands_are_writable() -> None:

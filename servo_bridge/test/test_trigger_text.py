@@ -27,7 +27,7 @@ def plain(name: str, type_text: bytes, size: int, address: int = 0x1000) -> Boar
 
 def known(name: str) -> BoardVariable:
     contract = CATALOGUE[name]
-    type_ = parse_type(bytes((contract.raw_type.tsa,)), contract.size)
+    type_ = parse_type(bytes((contract.format.tsa,)), contract.size)
     assert type_ is not None
     return BoardVariable(TargetVariable(name, 0x2000, contract.size, type_, contract.writable), contract)
 

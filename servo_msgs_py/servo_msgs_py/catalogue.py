@@ -10,8 +10,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.quantity import Format, Quantity
 from servo_msgs_py.text_file import TextFileError, read_toml
-from servo_msgs_py.units import frac_lsb, to_raw
+from servo_msgs_py.units import to_raw
 
 AXES: Final = 2
 """Axes of one board."""
@@ -24,39 +25,17 @@ class CatalogueError(ValueError):
     """The table of variables is malformed; the message contains position and cause."""
 
 
-@dataclass(frozen=True)
-class _RawType:
-    """Memory format of a type of the table (little endian)."""
-
-    size: int
-    signed: bool
-    tsa: int  # FreeMASTER base type byte, 111 S TT ZZ
-    fractional: bool = False
-
-    @property
-    def low(self) -> int:
-        return -(1 << (8 * self.size - 1)) if self.signed else 0
-
-    @property
-    def high(self) -> int:
-        return (1 << (8 * self.size - (1 if self.signed else 0))) - 1
-
-    def pack(self, raw: int) -> bytes:
-        """One element in memory format; an `OverflowError` if it does not fit."""
-        return raw.to_bytes(self.size, "little", signed=self.signed)
-
-
-_RAW_TYPES: Final[Mapping[str, _RawType]] = {
-    "uint16": _RawType(2, False, 0xE1),
-    "uint32": _RawType(4, False, 0xE2),
-    "int16": _RawType(2, True, 0xF1),
-    "int32": _RawType(4, True, 0xF2),
-    "frac16": _RawType(2, True, 0xF5, fractional=True),
-    "frac32": _RawType(4, True, 0xF6, fractional=True),
-    "enum": _RawType(2, False, 0xE1),
-    "flags": _RawType(2, False, 0xE1),
-    "flags32": _RawType(4, False, 0xE2),
-    "block": _RawType(1, False, 0xE0),
+_FORMATS: Final[Mapping[str, Format]] = {
+    "uint16": Format(2),
+    "uint32": Format(4),
+    "int16": Format(2, signed=True),
+    "int32": Format(4, signed=True),
+    "frac16": Format(2, signed=True, fraction_bits=15),
+    "frac32": Format(4, signed=True, fraction_bits=31),
+    "enum": Format(2),
+    "flags": Format(2),
+    "flags32": Format(4),
+    "block": Format(1),
 }
 
 
@@ -85,53 +64,34 @@ class Flag:
         return 1 << self.bit
 
 
-@dataclass(frozen=True)
-class Variable:
-    """One firmware variable."""
+@dataclass(frozen=True, kw_only=True)
+class Variable(Quantity):
+    """One firmware variable; its name is that on the wire and, with dots as slashes, of its topic."""
 
-    name: str  # name on the wire and, with dots as slashes, of its topic
     path: str  # C path below ``servo_t`` in the memory shared by host and board; empty: local variable of a loop
     type: str  # type word of the table: ``frac16``, ``int32``, ``enum`` ...
     count: int  # elements; more than one for arrays with one element per axis
-    lsb: float  # SI value of one raw unit
-    unit: str  # SI unit; empty for pure numbers
     full_scale: float | None  # SI value of 1.0; fractional types only
-    access: str  # ``ro`` or ``rw``
-    minimum: float  # smallest permitted value, SI
-    maximum: float  # largest permitted value, SI
-    description: str
+    writable: bool  # whether the host may write it
     enum: str | None = None  # name of the enumeration
     flags: str | None = None  # name of the flag set
     source: str | None = None  # C path below ``servo_t`` to the value in the loop
     part: int = 0  # offset of the variable in the source [bytes]
 
     @property
-    def raw_type(self) -> _RawType:
-        return _RAW_TYPES[self.type]
-
-    @property
     def element_size(self) -> int:
         """Bytes of one element; 1 for blocks."""
-        return self.raw_type.size
+        return self.format.size
 
     @property
     def size(self) -> int:
         """Bytes of the whole variable; 0 for blocks, whose size is read from the board."""
-        return 0 if self.type == "block" else self.element_size * self.count
+        return 0 if self.type == "block" else self.format.size * self.count
 
     @property
-    def writable(self) -> bool:
-        return self.access == "rw"
-
-    @property
-    def whole(self) -> bool:
-        """Whether only whole numbers are valid: enumerations, flags, switches, counts."""
-        return self.lsb == 1.0 and not self.raw_type.fractional
-
-    @property
-    def raw_range(self) -> tuple[int, int]:
-        """Limits as raw numbers; the board refuses numbers outside."""
-        return self.to_raw(self.minimum), self.to_raw(self.maximum)
+    def access(self) -> str:
+        """``ro`` or ``rw``."""
+        return "rw" if self.writable else "ro"
 
     def decode_raw(self, data: bytes) -> list[int]:
         """Integers, one per element, from the bytes read from the board.
@@ -145,11 +105,6 @@ class Variable:
             raise ValueError(f"{self.name}: {len(data)} bytes read, {self.size} expected")
         return self.elements(data)
 
-    def elements(self, data: bytes) -> list[int]:
-        """Integers from the bytes of consecutive elements."""
-        step, signed = self.element_size, self.raw_type.signed
-        return [int.from_bytes(data[k : k + step], "little", signed=signed) for k in range(0, len(data), step)]
-
     def encode_raw(self, raw: Sequence[int]) -> bytes:
         """Bytes for the board from one integer per element.
 
@@ -159,15 +114,33 @@ class Variable:
             If the number of elements is wrong or one does not fit the type.
         """
         self._check_count(len(raw))
-        low, high = self.raw_type.low, self.raw_type.high
-        for value in raw:
-            if not low <= value <= high:
-                raise ValueError(f"{self.name}: {value} does not fit {self.type} ({low} .. {high})")
-        return b"".join(self.raw_type.pack(int(value)) for value in raw)
+        return self.pack(raw)
 
-    def scale(self, raw: int) -> float | int:
-        """SI value of one raw number; an integer if one raw unit is 1."""
-        return raw if self.lsb == 1.0 else raw * self.lsb
+    def encode_part(self, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
+        """Encode neighbouring elements.
+
+        Parameters
+        ----------
+        raw : sequence of int
+            Firmware integers, one per element.
+        first : int
+            Index of the first element.
+
+        Returns
+        -------
+        offset, data : int, bytes
+            Offset from the address of the variable, and bytes to write.
+
+        Raises
+        ------
+        ValueError
+            If the variable is read-only, an element does not exist, or a number does not fit.
+        """
+        if not self.writable:
+            raise ValueError(f"{self.name} can only be read")
+        if not raw or first < 0 or first + len(raw) > self.count:
+            raise ValueError(f"{self.name} has {self.count} element(s), not {first} .. {first + len(raw) - 1}")
+        return first * self.format.size, self.pack(raw)
 
     def to_raw(self, value: float) -> int:
         """Raw number of one SI value.
@@ -177,13 +150,10 @@ class Variable:
         ValueError
             If the value is not finite, not whole for an integer variable, or outside the limits of the variable.
         """
-        if not math.isfinite(value):
-            raise ValueError(f"{self.name}: {value!r} is not a finite number")
-        if self.whole and not float(value).is_integer():
-            raise ValueError(f"{self.name}: {value:g} is not a whole number")
-        if not self.minimum <= value <= self.maximum:
-            raise ValueError(self.outside_text(value))
-        return to_raw(value, self.lsb, self.raw_type.low, self.raw_type.high)
+        if problem := self.problem(value):
+            outside = math.isfinite(value) and not self.minimum <= value <= self.maximum
+            raise ValueError(self.outside_text(value) if outside else f"{self.name}: {value!r} is {problem}")
+        return to_raw(value, self.lsb, self.format.low, self.format.high)
 
     def outside_text(self, value: float, element: int | None = None) -> str:
         """Error text for a value outside the limits, optionally with the index of its element."""
@@ -364,29 +334,29 @@ def _variable(
     if missing:
         raise CatalogueError(f"{name}: {', '.join(sorted(missing))} missing")
     type_ = str(entry["type"])
-    if type_ not in _RAW_TYPES:
-        raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(_RAW_TYPES)}")
+    if type_ not in _FORMATS:
+        raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(_FORMATS)}")
     if "source" in entry and (type_ == "block" or "count" in entry):
         raise CatalogueError(f"{name}: only a single number can have a source")
-    raw = _RAW_TYPES[type_]
+    format_ = _FORMATS[type_]
     if "scale" in entry and entry["scale"] not in scales:
         raise CatalogueError(f"{name}: unknown scale {entry['scale']!r}")
     scale = scales[entry["scale"]] if "scale" in entry else Scale("", "", None, 1.0)
-    if raw.fractional != (scale.full_scale is not None):
+    if (format_.fraction_bits > 0) != (scale.full_scale is not None):
         raise CatalogueError(f"{name}: a fraction needs a scale with full_scale, an integer one with lsb")
-    lsb = frac_lsb(scale.full_scale, 8 * raw.size) if scale.full_scale is not None else scale.lsb
+    lsb = scale.lsb if scale.full_scale is None else math.ldexp(scale.full_scale, -format_.fraction_bits)
     assert lsb is not None
     for kind, known in (("enum", enums), ("flags", flags)):
         if type_.startswith(kind) != (kind in entry) or (kind in entry and entry[kind] not in known):
             raise CatalogueError(
                 f"{name}: type {kind!r} needs a key {kind!r} with the name of one of the table's {kind}"
             )
-    if "flags" in entry and any(flag.mask > raw.high for flag in flags[entry["flags"]]):
+    if "flags" in entry and any(flag.mask > format_.high for flag in flags[entry["flags"]]):
         raise CatalogueError(f"{name}: {type_} is too small for all bits of {entry['flags']!r}")
     access = str(entry.get("access", "ro"))
     if access not in ("ro", "rw"):
         raise CatalogueError(f"{name}: access is {access!r}, not 'ro' or 'rw'")
-    low, high = raw.low * lsb, raw.high * lsb
+    low, high = format_.low * lsb, format_.high * lsb
     if type_ == "enum":
         low, high = min(enums[entry["enum"]].values()), max(enums[entry["enum"]].values())
     if "flags" in entry and access == "rw":
@@ -397,10 +367,24 @@ def _variable(
     if not low - lsb <= minimum <= maximum <= high + lsb:
         raise CatalogueError(f"{name}: limits {minimum:g} .. {maximum:g} do not fit {low:g} .. {high:g}")
     return Variable(
-        name, str(entry.get("path", "")), type_, int(entry.get("count", 1)), lsb, scale.unit, scale.full_scale, access,
-        minimum, maximum, str(entry["description"]), entry.get("enum"), entry.get("flags"),
-        entry.get("source"), int(entry.get("part", 0)),
-    )  # fmt: skip
+        name=name,
+        unit=scale.unit,
+        text=str(entry["description"]),
+        minimum=minimum,
+        maximum=maximum,
+        whole=lsb == 1.0 and not format_.fraction_bits,
+        format=format_,
+        lsb=lsb,
+        path=str(entry.get("path", "")),
+        type=type_,
+        count=int(entry.get("count", 1)),
+        full_scale=scale.full_scale,
+        writable=access == "rw",
+        enum=entry.get("enum"),
+        flags=entry.get("flags"),
+        source=entry.get("source"),
+        part=int(entry.get("part", 0)),
+    )
 
 
 def _hash(

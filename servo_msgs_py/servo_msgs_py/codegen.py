@@ -291,7 +291,7 @@ def variable_list(catalogue: Catalogue) -> str:
         kind = v.enum or v.type
         count = f"[{v.count}]" if v.count > 1 else ""
         limits = f"{v.minimum:g} .. {v.maximum:g}" if v.writable else ""
-        lines.append(f"| `{v.name}` | {kind}{count} | {v.unit} | {v.access} | {limits} | {v.description} |")
+        lines.append(f"| `{v.name}` | {kind}{count} | {v.unit} | {v.access} | {limits} | {v.text} |")
     for name, flags in catalogue.flags.items():
         lines += ["", f"## Bits of `{name}`", "", "| bit | name | cause | remedy |", "|---|---|---|---|"]
         lines += [f"| {f.bit} | {f.name} | {f.cause} | {f.remedy} |" for f in flags]

@@ -203,7 +203,7 @@ def parameters_from_message(message: Float64MultiArray, catalogue: Catalogue) ->
     numbers = iter(table[0].tolist())
     result: dict[str, list[int]] = {}
     for variable in variables:
-        low, high = variable.raw_type.low, variable.raw_type.high
+        low, high = variable.format.low, variable.format.high
         result[variable.name] = [to_raw(next(numbers), variable.lsb, low, high) for _ in range(variable.count)]
     return result
 

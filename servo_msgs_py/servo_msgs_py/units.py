@@ -19,19 +19,6 @@ SLOW_PERIODS: Final = 8
 """PWM periods per slow loop (0.5 ms, DRM 2.3.2)."""
 
 
-def frac_lsb(full_scale: float, bits: int) -> float:
-    """SI value of one least significant bit of a signed fraction.
-
-    Parameters
-    ----------
-    full_scale : float
-        Value of 1.0, in the unit of the quantity.
-    bits : int
-        Word length: 16 (Q1.15) or 32 (Q1.31).
-    """
-    return math.ldexp(full_scale, 1 - bits)
-
-
 def to_raw(value: float, lsb: float, low: int, high: int) -> int:
     """Round an SI value to the nearest raw number.
 

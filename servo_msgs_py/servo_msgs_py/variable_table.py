@@ -56,7 +56,7 @@ def type_text(variable: Variable) -> bytes:
     """Type text of a variable."""
     if variable.enum is not None:
         return variable.enum.encode()
-    return block_type(variable).encode() if variable.type == "block" else bytes((variable.raw_type.tsa,))
+    return block_type(variable).encode() if variable.type == "block" else bytes((variable.format.tsa,))
 
 
 def table_rows(catalogue: Catalogue) -> Iterator[Row]:

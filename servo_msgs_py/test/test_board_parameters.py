@@ -67,7 +67,7 @@ def test_reversed_limits_are_refused() -> None:
 
 def test_message_conversion_is_exact() -> None:
     values = {
-        v.name: [v.raw_type.low + 12345 + k, v.raw_type.high - 54321 % v.raw_type.high - k][: v.count]
+        v.name: [v.format.low + 12345 + k, v.format.high - 54321 % v.format.high - k][: v.count]
         for k, v in enumerate(parameters(CATALOGUE))
     }
     message = parameters_message(values, CATALOGUE)

@@ -44,7 +44,7 @@ def small(**changes: Any) -> Catalogue:
 # ---- the packaged table
 def test_every_variable_is_described_and_finite() -> None:
     for variable in CATALOGUE.variables.values():
-        assert variable.description
+        assert variable.text
         assert variable.lsb > 0.0
         assert -math.inf < variable.minimum <= variable.maximum < math.inf
         assert variable.name == variable.name.lower()
@@ -91,7 +91,7 @@ def test_one_revolution_has_4000_counts() -> None:
 @given(st.sampled_from(sorted(n for n, v in CATALOGUE.variables.items() if v.size)), st.data())
 def test_conversion_of_bytes_to_si_is_reversible(name: str, data: st.DataObject) -> None:
     variable = CATALOGUE[name]
-    raw = [data.draw(st.integers(variable.raw_type.low, variable.raw_type.high)) for _ in range(variable.count)]
+    raw = [data.draw(st.integers(variable.format.low, variable.format.high)) for _ in range(variable.count)]
     stored = variable.encode_raw(raw)
     assert len(stored) == variable.size
     assert variable.decode_raw(stored) == raw
@@ -130,7 +130,7 @@ def test_wrong_values_are_refused(value: Any, message: str) -> None:
 
 
 def test_raw_numbers_out_of_range_are_refused() -> None:
-    with pytest.raises(ValueError, match="does not fit frac16"):
+    with pytest.raises(ValueError, match="does not fit 2 bytes"):
         small()["u"].encode_raw([40_000])
     with pytest.raises(ValueError, match="3 bytes read, 2 expected"):
         small()["u"].decode_raw(b"abc")

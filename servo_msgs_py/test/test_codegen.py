@@ -88,7 +88,7 @@ def test_list_for_people_names_every_variable_with_its_unit() -> None:
         lines = [line for line in text.splitlines() if f"`{variable.name}`" in line]
         assert len(lines) == 1, variable.name
         assert variable.unit in lines[0]
-        assert variable.description in lines[0]
+        assert variable.text in lines[0]
 
 
 def test_a_missing_folder_is_a_clear_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -629,7 +629,7 @@ def _format(variable: Variable) -> str:
 
 def _element(variable: Variable) -> str:
     """Numpy format of one element of a variable."""
-    return f"<{'i' if variable.raw_type.signed else 'u'}{variable.element_size}"
+    return f"<{'i' if variable.format.signed else 'u'}{variable.element_size}"
 
 
 def _axis_index(axis: int) -> int:

@@ -50,7 +50,7 @@ class VirtualBoardAccess(BoardAccess):
         variable = self.catalogue[name]
         if first < 0 or first + len(words) > variable.count:
             raise ValueError(f"{name} has {variable.count} element(s), not {first} .. {first + len(words) - 1}")
-        data = b"".join(variable.raw_type.pack(word) for word in words)
+        data = variable.pack(words)
         try:
             self.board.write_memory(self.board.address(name) + first * variable.element_size, data)
         except BoardError as error:

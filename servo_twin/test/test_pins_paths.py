@@ -19,8 +19,7 @@ def sent(board: Board, *points: tuple[float, float, float]) -> None:
     tick, here = board.read_raw("tick")[0], position_of(board, 0) * COUNT
     encoded = [TimedPoint(0, tick + round(16000 * at), here + distance, speed) for at, distance, speed in points]
     words = encode_points(board.catalogue, encoded)
-    pack = board.catalogue["cmd.points"].raw_type.pack
-    board.write_memory(board.address("cmd.points"), b"".join(map(pack, words)))
+    board.write_memory(board.address("cmd.points"), board.catalogue["cmd.points"].pack(words))
 
 
 @pytest.fixture(params=[0.0, 1.0], ids=["on the switch", "before it"])

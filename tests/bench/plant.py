@@ -73,9 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for plant in ("switching", "averaged"):
         fast, general = (sum(row[f"{plant}_ns"] for row in table[name]) for name in builds)
         worst = PERIOD_NS / max(row[f"{plant}_ns"] for row in table["fast"])
-        print(
-            f"{plant}: at least {worst:.0f} times real time, {general / fast:.2f} x the general integration"
-        )
+        print(f"{plant}: at least {worst:.0f} times real time, {general / fast:.2f} x the general integration")
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     return 0

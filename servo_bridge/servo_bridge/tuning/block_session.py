@@ -33,7 +33,7 @@ class BlockSession:
     def write_words(self, name: str, words: Sequence[int]) -> bool:
         variable = self._session.variables[name]
         assert variable.contract is not None
-        data = b"".join(variable.contract.raw_type.pack(word) for word in words)
+        data = variable.contract.pack(words)
         try:
             self._session.client.write_memory(variable.address, data)
         except StatusError as error:

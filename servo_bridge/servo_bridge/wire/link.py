@@ -38,7 +38,7 @@ from servo_bridge.wire.restoration import await_restored
 from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.scope_reader import BoardResetError, ScopeReader
 from servo_bridge.wire.serial_port import LowLatency, SerialPort
-from servo_bridge.wire.session import Session, connect, element_bytes
+from servo_bridge.wire.session import Session, connect
 from servo_bridge.wire.stop_at_connection import stopped_at_connection
 
 __all__ = [
@@ -211,7 +211,7 @@ class Link:
     def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False) -> Future[None]:
         """Write neighbouring elements of a variable as firmware integers; see `write`."""
         variable = self._known(name)
-        offset, data = element_bytes(variable, raw, first)
+        offset, data = variable.encode_part(raw, first)
         lengthy = name in COMMAND_VARIABLES  # the board counts and executes every received write
 
         def run(session: Session) -> None:

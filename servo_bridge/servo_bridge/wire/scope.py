@@ -35,7 +35,7 @@ class ScopeLayout:
             if v.size not in SCOPE_SIZES:
                 raise ValueError(f"{v.name} has {v.size} bytes; telemetry supports variables of 1, 2, 4 or 8 bytes")
         self.size = sum(v.size for v in variables)
-        codes = (_FORMATS[v.element_size, v.raw_type.signed] * v.count for v in variables)
+        codes = (_FORMATS[v.element_size, v.format.signed] * v.count for v in variables)
         self._struct = struct.Struct("<" + "".join(codes))
         self._slices: dict[str, tuple[Variable, slice]] = {}
         start = 0

@@ -34,37 +34,6 @@ class BoardMismatchError(FreemasterError):
         self.foreign = foreign  # not a servo board
 
 
-def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
-    """Encode neighbouring elements of a variable of the catalogue.
-
-    Parameters
-    ----------
-    variable : Variable
-        Variable to write.
-    raw : sequence of int
-        Firmware integers, one per element.
-    first : int
-        Index of the first element.
-
-    Returns
-    -------
-    offset, data : int, bytes
-        Offset from the address of the variable, and bytes to write.
-
-    Raises
-    ------
-    ValueError
-        If the variable is read-only, an element does not exist, or a number does not fit.
-    """
-    if not variable.writable:
-        raise ValueError(f"{variable.name} can only be read")
-    if not raw or first < 0 or first + len(raw) > variable.count:
-        raise ValueError(f"{variable.name} has {variable.count} element(s), not {first} .. {first + len(raw) - 1}")
-    padded = [0] * first + list(raw) + [0] * (variable.count - first - len(raw))
-    step = variable.element_size
-    return first * step, variable.encode_raw(padded)[first * step : (first + len(raw)) * step]
-
-
 @dataclass(frozen=True)
 class BoardVariable:
     """Variable of a board."""
@@ -145,7 +114,7 @@ class BoardVariable:
         """Encode neighbouring elements given as firmware integers; see `encode`."""
         if self.contract is None or not self.target.writable:
             raise ValueError(f"{self.name} can only be read")
-        offset, data = element_bytes(self.contract, raw, first)
+        offset, data = self.contract.encode_part(raw, first)
         return self.address + offset, data
 
 
@@ -289,7 +258,7 @@ def _difference(variable: Variable, target: TargetVariable | None, info: BoardIn
         return f"{variable.name} has {target.size} bytes instead of {variable.size}"
     if variable.writable and not target.writable:
         return f"{variable.name} is read-only"
-    expected = parse_type(bytes((variable.raw_type.tsa,)), variable.size)
+    expected = parse_type(bytes((variable.format.tsa,)), variable.size)
     assert expected is not None
     same_bits = (target.type.kind, target.type.size, target.type.fraction_bits) == (
         expected.kind,

@@ -101,9 +101,7 @@ class Replica:
 
     def write_first(self, variable: str, raw: Sequence[int]) -> None:
         """Write the first elements of a variable in one access."""
-        words = [*raw, *[0] * (self._catalogue[variable].count - len(raw))]
-        data = self._catalogue[variable].encode_raw(words)
-        self.board.write_memory(self.board.address(variable), data[: len(raw) * self._catalogue[variable].element_size])
+        self.board.write_memory(self.board.address(variable), self._catalogue[variable].pack(raw))
 
     def read_words(self, name: str) -> list[int]:
         """Firmware integers of any variable, one per element."""
@@ -111,9 +109,8 @@ class Replica:
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
         """Write the first elements of a variable in one access; False if the board refuses a value as out of range."""
-        pack = self._catalogue[name].raw_type.pack
         try:
-            self.board.write_memory(self.board.address(name), b"".join(pack(word) for word in words))
+            self.board.write_memory(self.board.address(name), self._catalogue[name].pack(words))
         except BoardError as error:
             if error.status != _OUT_OF_RANGE:
                 raise

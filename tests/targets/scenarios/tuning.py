@@ -27,16 +27,14 @@ class Blocks:
         return self._rig.raw(name)
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
-        pack = self._rig.catalogue[name].raw_type.pack
-        self._rig.request(commands.write_memory(self._rig.address(name), b"".join(map(pack, words))))
+        self._rig.request(commands.write_memory(self._rig.address(name), self._rig.catalogue[name].pack(words)))
         return self.read_words("config.refusal") == [0]
 
     def together(self, *writes: tuple[str, Sequence[int]]) -> None:
         """Send several writes without a pause."""
         frames = b""
         for name, words in writes:
-            pack = self._rig.catalogue[name].raw_type.pack
-            frames += commands.write_memory(self._rig.address(name), b"".join(map(pack, words))).frame
+            frames += commands.write_memory(self._rig.address(name), self._rig.catalogue[name].pack(words)).frame
         self._rig.send(frames)
 
     def pause(self, seconds: float) -> None:

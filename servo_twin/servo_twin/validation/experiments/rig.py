@@ -225,7 +225,7 @@ def set_axis(board: Board, name: str, axis: int, value: float) -> None:
 
 def _write_element(board: Board, name: str, axis: int, raw: int) -> None:
     variable = board.catalogue[name]
-    data = variable.raw_type.pack(raw)
+    data = variable.pack([raw])
     board.write_memory(board.address(name) + axis * variable.element_size, data)
 
 
