@@ -61,17 +61,3 @@ def test_too_many_samples_are_refused_with_the_maximum(sim: LineSimulation) -> N
     burst = recorded(sim, session, BurstRequest(("tick", "u_dc"), recorder=1, points=50), 0.0)
     assert set(np.diff(burst.values[0].astype(np.int64))) == {8}
     assert burst.times[1] == pytest.approx(500e-6)
-
-
-def test_log_of_the_board_is_read_through_its_pipe(sim: LineSimulation) -> None:
-    pipe = sim.host.client.pipe()
-    text = b""
-    sim.enable()
-    for _ in range(50):
-        sim.run(0.005, sim.host.keep_alive)
-        text += pipe.exchange()[0]
-    lines = text.decode("ascii").splitlines()
-    assert lines[0] == "0 reset"
-    assert "axis1 RUN/ALIGN" in " ".join(lines)
-    ticks = [int(line.split()[0]) for line in lines]
-    assert ticks == sorted(ticks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import signal
@@ -14,7 +13,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from chain import FAST_BAUD, Chain, Process, User, followed_board, ros_user, wait_for
+from chain import Chain, Process, User, followed_board, ros_user, wait_for
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp, snapshot_table
 from servo_msgs_py.runtime.qos import command_qos, latched_qos
@@ -28,7 +27,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
-AT_REST = 4 * COUNT  # largest motion of a held shaft; a set-point is hundreds of counts away
 # Half a count of rounding, two counts of the encoder, and two counts at the end of a move by the dead time of the
 # switching plant (experiment feed-forward).
 OVERSHOOT = (2.5 if chosen_level() == "ideal" else 4.5) * COUNT
@@ -107,10 +105,6 @@ class TestNormalWork:
         assert max(r["axis1.position"] for r in rows) <= 5 * TURN + OVERSHOOT
         assert min(r["axis2.position"] for r in rows) >= -5 * TURN - OVERSHOOT
 
-    def test_array_of_positions_moves_both_shafts(self, user: User) -> None:
-        user.commands.publish(Float64MultiArray(data=[1.0, -1.0]))
-        user.until(reached(user, 1.0, -1.0), 10.0)
-
     def test_shaft_stops_when_the_speed_set_point_expires(self, user: User) -> None:
         user.joint_commands.publish(JointState(name=["axis1"], velocity=[50.0]))
         user.until(lambda: user.messages["/servo/joint_states"][-1].velocity[0] > 45.0, 5.0)
@@ -131,18 +125,6 @@ class TestNormalWork:
         assert user.position_of(0) == pytest.approx(held, abs=2 * COUNT)
         user.enable_axes()
         go(user, 0.0, 0.0)
-
-    def test_telemetry_is_stamped_with_board_time(self, user: User) -> None:
-        """For its rate see tests/bench/telemetry.py."""
-        start = len(user.messages["/servo/joint_states"])
-        user.wait_board_time(1.0)
-        stamps = [from_stamp(m.header.stamp) for m in user.messages["/servo/joint_states"][start:]]
-        assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
-        rows = {(int(r["stamp.sec"]), int(r["stamp.nanosec"])): r for r in user.rows()}
-        # Stamps follow the ticks of the board, not the times of arrival.
-        ticks = [rows[divmod(s, 1_000_000_000)]["tick"] for s in stamps[:100]]
-        drift = np.diff(stamps[:100]) - np.diff(ticks) * PERIOD_NS
-        assert np.median(np.abs(drift)) < 200_000
 
     def test_twin_follows_the_board(self, user: User) -> None:
         user.until(lambda: user.last("/twin/healthy") is True)
@@ -170,24 +152,6 @@ class TestNormalWork:
             assert np.max(np.abs(message.velocity)) < 10.0
         assert user.last("/twin/healthy") is True
         assert user.last("/twin/state") == SPIN
-
-    def test_invalid_set_points_have_no_effect(self, user: User) -> None:
-        """One per topic; all kinds of errors: servo_bridge/test/test_node.py."""
-        before, written = [user.position_of(0), user.position_of(1)], len(user.applied())
-        start = len(user.messages["/servo/snapshot"])
-        for publisher, wrong, expected in (
-            (user.joint_commands, JointState(name=BOTH, position=[1.0, 1e9]), "position of axis2"),
-            (user.commands, Float64MultiArray(data=[1.0]), "commands: 1 values given"),
-            (user.position[1], Float64(data=math.nan), "position is nan"),
-        ):
-            refused = len(user.rejections())
-            publisher.publish(wrong)
-            assert expected in user.until_rejected(refused)
-        user.wait_board_time(0.2)
-        assert len(user.applied()) == written
-        assert max(abs(r["axis1.position"] - before[0]) for r in user.rows(start)) <= AT_REST
-        assert max(abs(r["axis2.position"] - before[1]) for r in user.rows(start)) <= AT_REST
-        assert user.last("/servo/state") == SPIN
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
     def test_path_stops_when_its_command_is_interrupted(self, user: User, tmp_path: Path, number: int) -> None:
@@ -417,24 +381,3 @@ class TestTrouble:
         assert chain.processes() == {}
         assert not chain.port.exists()
         assert "Traceback" not in chain.logs()
-
-    def test_fast_line_has_a_higher_telemetry_rate(self, tmp_path: Path) -> None:
-        fast = Chain(tmp_path, FAST_BAUD, level="ideal")
-        try:
-            fast.board()
-            fast.bridge(telemetry_rate=300.0)  # all processes are busy at the full rate
-            fast.twin()
-            with ros_user() as user:
-                user.until(user.connected, 30.0)
-                user.enable_axes()
-                go(user, 5 * TURN, -5 * TURN)
-                start = len(user.messages["/servo/joint_states"])
-                user.wait_board_time(1.0)
-                stamps = [from_stamp(m.header.stamp) for m in user.messages["/servo/joint_states"][start:]]
-                # 115200 baud permit 133 samples/s; tests/bench/telemetry.py measures the full rate.
-                # The median, as other load may disturb.
-                assert np.median(np.diff(stamps)) <= 1e9 / 160.0
-                user.until(lambda: user.last("/twin/healthy") is True)
-        finally:
-            fast.end()
-            print(fast.logs())

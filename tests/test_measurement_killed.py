@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import math
-import signal
-import time
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from chain import Chain
 from line_simulation import SimulatedLine
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.freemaster.line import Line
 from servo_bridge.tool_commands import Context
-from servo_bridge.wire.serial_port import LowLatency, SerialPort
+from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import connect
 from servo_measurement.access import MeasurementError
 from servo_msgs_py.catalogue import Catalogue
@@ -92,34 +88,3 @@ def test_board_restores_itself_when_the_program_is_killed(
         assert state(board) == before
         assert board.catalogue.label("measurement_end_t", board.read_raw("measurement.ended")[0]) == "SILENT"
         assert abs(board.truth(0).omega_m) < 1.0
-
-
-@pytest.mark.realtime
-@pytest.mark.slow
-def test_killed_identification_leaves_the_board_as_it_was(tmp_path: Path) -> None:
-    chain = Chain(tmp_path, BAUD, level="ideal")
-
-    def read() -> Mapping[str, object]:
-        with SerialPort(str(chain.port), BAUD) as port:
-            session = connect(Client(Line(port, baud=BAUD, retries=9)), CATALOGUE)
-            return {name: session.read(session.variables[name]) for name in [*KEPT, "measurement.ended"]}
-
-    try:
-        chain.board()
-        before = read()
-        process = chain.script("servo-tool", "--port", str(chain.port), *arguments_of("identify", tmp_path))
-        until(lambda: "series of currents" in process.text(), 60.0)
-        process.send(signal.SIGKILL)
-        time.sleep(HOST_TIMEOUT + REST)
-        after = read()
-        assert {name: after[name] for name in KEPT} == {name: before[name] for name in KEPT}
-        assert CATALOGUE.label("measurement_end_t", int(str(after["measurement.ended"]))) == "SILENT"
-    finally:
-        chain.end()
-
-
-def until(condition: Callable[[], bool], seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.1)

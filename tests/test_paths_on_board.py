@@ -97,56 +97,6 @@ def test_geared_joints_are_followed_in_their_own_units() -> None:
     assert f"acceleration of {JOINTS[0]} is above its limit 80 rad/s^2" in str(refusal), "4000 rad/s^2 of the motor"
 
 
-@pytest.mark.parametrize(("delay", "postponed"), [(0.15, 1), (0.5, 2)])
-def test_path_from_standstill_begins_later_if_its_first_points_come_too_late(
-    sim: PathSimulation, delay: float, postponed: int
-) -> None:
-    paths: list[Path] = []
-
-    def plan(running: Path, now: float) -> Path:
-        paths.append(circle(running, now))
-        return paths[-1]
-
-    sim.write_delay = delay
-    sim.follow(plan)
-    sim.run_until(lambda: sim.postponed == postponed, 5.0)
-    assert np.ptp(sim.table()["axis1.position_ref"][-1000:]) == 0, "no set-point has moved"
-    sim.write_delay = 0.0
-    sim.run(5.5)
-    assert not sim.refusals
-    assert not sim.abandoned
-    assert len(paths) == postponed + 1
-    assert errors(sim, paths[-1]).max() <= 0.02
-
-
-def test_path_from_standstill_is_abandoned_if_the_points_come_too_late_each_time(sim: PathSimulation) -> None:
-    sim.follow(circle)
-    sim.write_delay = 1.2
-    sim.run_until(lambda: bool(sim.abandoned), 12.0)
-    assert sim.postponed == 2
-    assert set(sim.abandoned) == {"the board refused points of the trajectory"}
-
-
-def test_path_with_accepted_points_is_not_repeated(sim: PathSimulation) -> None:
-    sim.follow(circle)
-    sim.run(0.5)
-    sim.write_delay = 3.0
-    sim.run_until(lambda: bool(sim.abandoned), 6.0)
-    assert sim.postponed == 0
-
-
-def test_path_that_replaces_another_is_not_repeated(sim: PathSimulation) -> None:
-    sim.follow(circle)
-    sim.run(1.2)
-    sim.write_delay = 0.15
-    sim.follow(circle)
-    sim.run_until(lambda: "the board refused points of the trajectory" in sim.abandoned, 1.0)
-    assert sim.postponed == 0
-    sim.write_delay = 0.0
-    sim.run(1.0)
-    assert np.ptp(sim.table()["axis1.position_ref"][-100:]) == 0, "the joint has stopped"
-
-
 def test_path_is_replaced_without_a_step(sim: PathSimulation) -> None:
     sim.follow(circle)
     sim.run(1.2)
@@ -165,17 +115,6 @@ def test_path_is_replaced_without_a_step(sim: PathSimulation) -> None:
         speed = np.diff(table[f"{joint}.position_ref"] * COUNT) / 0.5e-3
         assert np.abs(np.diff(speed)).max() * 2000.0 < 2.0 * COUNT / 0.5e-3**2 + 1000.0
         assert table[f"{joint}.position_ref"][-1] * COUNT == pytest.approx(end, abs=COUNT)
-
-
-def test_path_beyond_a_limit_is_refused_without_motion(sim: PathSimulation) -> None:
-    def plan(running: Path, now: float) -> Path:
-        return moved(running, now, move(JOINTS, [0.0, 0.0], [200.0, 1.0], 0.2))
-
-    sim.follow(plan)
-    sim.run(0.5)
-    (refusal,) = sim.refusals
-    assert "axis1" in str(refusal)
-    assert np.ptp(sim.table()["axis2.position_ref"]) <= 2
 
 
 def test_crash_of_the_bridge_causes_a_controlled_stop(sim: PathSimulation) -> None:

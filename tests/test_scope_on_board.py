@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from chain import TOOL, Chain, wait_for
+from chain import Chain
 from servo_msgs_py.recording_names import telemetry_parts
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.view import scene
@@ -62,15 +61,3 @@ def test_recordings_have_the_time_of_the_telemetry(chain: Chain, tmp_path: Path)
     assert len(between) > 5, "telemetry continues while a burst is read"
     assert np.rint(np.diff(rows) / PERIOD).astype(int).min() >= SLOW_PERIODS
     assert [text.split()[1] for _, text in read_texts(file, "/log/scope")] == ["1", "2"]
-
-
-def test_ctrl_c_ends_the_scope(chain: Chain, tmp_path: Path) -> None:
-    file = tmp_path / "scope.rrd"
-    options = ("--port", str(chain.port), "scope", "axis1.i_a", "--points", "50", "--save", str(file))
-    tool = chain._start(TOOL, *options, "--telemetry", "axis1.speed", "axis1.i_q_ref")
-    wait_for(lambda: "burst 2 at" in tool.text(), 30.0, tool.text)
-    assert tool.stop(signal.SIGINT) == 0, tool.text()
-    assert "rows of telemetry in" in tool.text().splitlines()[-1]
-    assert len(read_scalars(file, scene.burst_entity("axis1.i_a", scene.BOARD))[0]) >= 2 * 51
-    assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.SET_POINT))[0]) > 10
-    assert chain.read_variables("axis1.i_a"), "the board answers"

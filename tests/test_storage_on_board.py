@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -55,32 +54,6 @@ def test_values_are_stored_listed_and_erased(bench: ToolBench, capsys: pytest.Ca
     assert bench.tool("factory") == 0
     assert "the built-in values are used from the next reset on" in capsys.readouterr().out
     assert bench.raw("storage.sequence") == [0]
-
-
-def test_storing_in_motion_is_refused(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
-    bench.board.write("cmd.enable", [1, 0])
-    bench.board.run(0.01)
-    for command in (("save", "--to-board"), ("factory",)):
-        assert bench.tool(*command) == 1
-        assert "an axis is moving or enabled. Disable both axes" in capsys.readouterr().err
-    assert bench.raw("storage.saves") == [0]
-    assert bench.tool("log") == 0
-    assert "refused storage.request" in capsys.readouterr().out
-
-
-def test_damaged_copy_is_reported(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
-    for _ in range(2):
-        bench.tool("save", "--to-board")
-    image = bytearray(bench.board.cut_power())
-    image[COPY_B + 100] ^= 0x40
-    with Board(level="ideal", baud=BAUD, flash=bytes(image)) as board:
-        board.run(0.1)
-        other = ToolBench(board)
-        capsys.readouterr()
-        assert other.tool("info") == 0
-        assert "copy B is damaged (interrupted save, or worn flash): copy A is in use" in capsys.readouterr().out
-        assert other.tool("log") == 0
-        assert "0 stored copy B: DAMAGED" in capsys.readouterr().out
 
 
 class LossyAnswerLine(SimulatedLine):
@@ -150,32 +123,6 @@ def test_invalid_command_lines_are_refused(bench: ToolBench, tmp_path: Path) -> 
     for arguments in (("save",), ("save", "--to-board", str(tmp_path / "a.toml"))):
         with pytest.raises(UsageError, match="write a FILE"):
             bench.tool(*arguments)
-
-
-# ---- a board on a real port ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.realtime
-def test_stored_values_are_restored_after_a_crash(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path, FAST_BAUD, level="ideal"), tmp_path / "flash.bin"
-    try:
-        board = chain.board(flash=flash)
-        assert flash.stat().st_size == 32896
-        chain.tool("set", "param.i_q_limit", "1.25,0.75")
-        assert "stored as set 1" in chain.tool("save", "--to-board")
-        chain.tool("set", "param.i_q_limit", "2.0,2.0")
-        board.kill()
-        board = chain.board(flash=flash)
-        assert chain.read_variables("param.i_q_limit", "storage.source") == {
-            "param.i_q_limit": pytest.approx([1.25, 0.75], abs=1e-3),
-            "storage.source": 1,
-        }
-        assert "both copies erased" in chain.tool("factory")
-        assert board.stop(signal.SIGINT) == 0
-        chain.board(flash=flash)
-        assert chain.read_variables("param.i_q_limit")["param.i_q_limit"] == pytest.approx([4.0, 4.0], abs=0.01)
-    finally:
-        chain.end()
 
 
 # ---- over ROS ------------------------------------------------------------------------------------------------------

@@ -123,22 +123,6 @@ def test_lead_increases_until_points_arrive_in_time() -> None:
     assert residual <= 0.04
 
 
-def test_lead_increases_without_a_step_for_nearly_late_points() -> None:
-    with Board(seed=4) as board:
-        sim = PathSimulation(board)
-        limit = sim.limits[0].acceleration_max
-        begin = sim.send(1.0, both)
-        assert sim.streamer.report is not None
-        before = sim.streamer.report.delay
-        sim.streamer.arrived(-0.02)
-        sim.send(2.0, lambda t: both(t + 1.0))
-        after = sim.streamer.report.delay
-        assert sim.errors == []
-    assert after - before == pytest.approx(0.028, abs=0.001)
-    for joint in JOINTS:
-        assert np.abs(accelerations(sim, joint, begin)).max() <= limit + ROUNDING
-
-
 def test_missing_messages_of_a_stream_cause_a_stop() -> None:
     with Board(seed=4) as board:
         sim = PathSimulation(board)
@@ -203,22 +187,6 @@ def test_stream_replaces_a_path_and_a_set_point_replaces_the_stream() -> None:
         assert moving(sim) == ()
         assert sim.errors == []
         assert sim.refusals == []
-
-
-def test_stream_at_the_acceleration_limit_is_accepted() -> None:
-    with Board(seed=4) as board:
-        sim = PathSimulation(board)
-        board.write("param.acceleration_limit", [200.0, 200.0])
-        board.run(0.01)
-        limits = sim.limits
-        sim.limits = [type(limit)(acceleration_max=200.0, velocity_max=50.0) for limit in limits]
-        begin = sim.send(2.0, lambda t: {0: JointSetPoint(30.0, 0.0), 1: JointSetPoint(-30.0, 0.0)})
-        sim.run(0.2)
-        table = sim.table()
-        assert sim.errors == []
-        assert abs(table["axis1.position_ref"][-1] * COUNT - 30.0) < 0.02
-        assert abs(table["axis2.position_ref"][-1] * COUNT + 30.0) < 0.02
-        assert 150.0 < np.abs(accelerations(sim, "axis1", begin)).max() <= 200.0 + ROUNDING
 
 
 def limited(board: Board, *, position_max: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -35,8 +35,6 @@ MOTORS: Final[dict[str, dict[str, float]]] = {
     "axis1": {"r_s": 1.4, "l_d": 1.6e-3, "l_q": 1.9e-3, "psi_m": 0.0085, "pole_pairs": 4, "inertia": 4.5e-5},
     "axis2": {"r_s": 0.9, "l_d": 0.9e-3, "l_q": 1.1e-3, "psi_m": 0.0102, "pole_pairs": 3, "inertia": 2.0e-5},
 }
-
-Tool = Callable[..., int]
 
 
 class ToolBench:
@@ -130,15 +128,6 @@ def test_configuration_refused_by_the_tuning_code_is_not_sent(
     for arguments in ((), ("--from-board", CONFIG), (CONFIG, "-o", "x.toml")):
         with pytest.raises(UsageError):
             bench.tool("tune", *arguments)
-
-
-def test_motor_data_are_refused_in_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with spinning() as board:
-        bench = ToolBench(board)
-        own = bench.raw("config.checksum")
-        assert bench.tool("tune", edited(tmp_path, "other.toml", axis1__motor={"psi_m": 0.012})) == 1
-        assert "can only be changed at standstill" in capsys.readouterr().err
-        assert bench.raw("config.checksum") == own
 
 
 def test_another_motor_is_configured_without_a_compiler(tmp_path: Path) -> None:

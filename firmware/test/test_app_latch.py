@@ -33,16 +33,6 @@ def marks_of(core: Core, offset: int, size: int) -> Any:
     return marks
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("field", FIELDS)
-def test_one_element_marks_one_axis_of_one_field(core: Core, field: str, axis: int) -> None:
-    offset = core.ffi.offsetof("command_block_t", field)
-    size = core.ffi.sizeof(dict(core.ffi.typeof("command_block_t").fields)[field].type.item)
-    marks = marks_of(core, offset + axis * size, size)
-    assert (marks.commands, marks.parameters) == (True, False)
-    assert list(marks.fresh) == [1 << BITS[field] if i == axis else 0 for i in range(2)]
-
-
 @given(data=st.data())
 def test_any_range_marks_exactly_the_elements_it_contains(core: Core, data: st.DataObject) -> None:
     total = core.ffi.offsetof("command_block_t", "points")
@@ -55,13 +45,6 @@ def test_any_range_marks_exactly_the_elements_it_contains(core: Core, data: st.D
         for axis in range(2):
             touched = begin < offset + (axis + 1) * element and offset + axis * element < begin + size
             assert (marks.fresh[axis] >> BITS[field] & 1) == touched
-
-
-def test_element_write_touches_one_axis(bench: Bench) -> None:
-    bench.write(1, enable=1)
-    bench.slow()
-    assert not bench.axis(0).enable_requested
-    assert bench.axis(1).enable_requested
 
 
 def test_freshness_lasts_one_tick(bench: Bench) -> None:
@@ -88,14 +71,6 @@ def test_whole_block_in_one_write(bench: Bench) -> None:
 def test_read_only_variables_refuse_writes(bench: Bench, core: Core) -> None:
     for name in ("tick", "axis1.position", "axis2.faults", "catalogue_hash", "snapshot", "axis1.torque_constant"):
         assert core.lib.servo_write(bench.servo, bench.address(name), b"\0\0", 2) != 0
-
-
-@pytest.mark.parametrize("name", FIELDS)
-def test_write_that_straddles_the_block_is_refused(bench: Bench, core: Core, name: str) -> None:
-    variable = bench.catalogue.variables[f"cmd.{name}"]
-    address, size = bench.address(variable.name), variable.size
-    assert core.lib.servo_write(bench.servo, address, bytes(size + 1), size + 1) != 0
-    assert core.lib.servo_write(bench.servo, address + size - 1, bytes(2), 2) != 0
 
 
 # ---- applied_tick, hold ---------------------------------------------------------------------------------------------

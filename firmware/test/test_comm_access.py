@@ -71,31 +71,6 @@ def test_padded_addresses_and_dropped_bits(servo: Board) -> None:
 
 
 @pytest.mark.parametrize(
-    ("offset", "size", "allowed"),
-    [
-        (0x20, 2, True),
-        (0x21, 1, True),
-        (0x58, 4, True),  # one element of an array
-        (0x54, 2, True),  # writable although a read-only entry covers it
-        (0x54, 4, False),  # two variables
-        (0x54, 16, False),  # read only
-        (0x2A, 2, False),
-        (0xC0, 4, False),
-        (0xD8, 8, False),
-        (0x22E, 4, False),
-    ],
-)
-def test_only_whole_writable_entries_are_written(servo: Board, offset: int, size: int, allowed: bool) -> None:
-    before = servo.memory()
-    data = bytes(range(0xC0, 0xC0 + size))
-    assert servo.ask(WRITE, write(offset, data)) == (Answer(0) if allowed else DENIED)
-    expected = before[:offset] + data + before[offset + size :] if allowed else before
-    assert servo.memory() == expected
-    events = [("lock", 0, 0), ("written", offset, size), ("unlock", 0, 0)] if allowed else []
-    assert servo.events() == events
-
-
-@pytest.mark.parametrize(
     ("mask", "expected", "reported"),
     [
         (b"\xff" * 8, b"\x11" * 8, (0x58, 8)),

@@ -126,7 +126,3 @@ def test_every_code_without_a_command_is_unknown(servo: Board) -> None:
     known = {*range(0x20, 0x2B), 0x2F, 0x30, 0x31, 0x32}
     for code in set(range(256)) - known - {0x2B}:
         assert servo.send(request(code)) == bytes.fromhex("2B 81 8E"), hex(code)
-
-
-def test_model_agrees_with_the_examples() -> None:
-    assert request(0x21, bytes.fromhex("F0 80 80 80 02 2B")) == bytes.fromhex("2B 21 06 F0 80 80 80 02 2B 2B D8")

@@ -86,15 +86,6 @@ def test_the_largest_answer_fits_and_a_longer_one_is_refused(
         assert board.ask(0x21, uleb(large(board)) + uleb(size)) == Answer(0x84)
 
 
-@pytest.mark.parametrize(("board_name", "size", "wire_size"), [("sheet", 240, 483), ("servo", 252, 507)])
-def test_worst_case_on_the_wire(board_name: str, size: int, wire_size: int, request: pytest.FixtureRequest) -> None:
-    board: Board = request.getfixturevalue(board_name)
-    board.poke(0x100, b"\x2b" * size)
-    wire = board.send(double_read(large(board), size))
-    assert wire == answer(0, b"\x2b" * size)
-    assert len(wire) in (wire_size, wire_size + 1)
-
-
 def double_read(address: int, size: int) -> bytes:
     """READMEM request."""
     return request(0x21, uleb(address) + uleb(size))
@@ -152,12 +143,6 @@ def test_requests_are_discarded_while_an_answer_is_pending(servo: Board) -> None
     assert servo.statistics().bytes_lost >= len(MTU_REQUEST)
     servo.set_put_room(512)
     assert servo.send(MTU_REQUEST) == mtu_answer(servo)
-
-
-def test_discarding_requests_does_not_depend_on_the_depth_of_the_transmitter(servo: Board) -> None:
-    assert servo.send(MTU_REQUEST * 3) == mtu_answer(servo)
-    assert servo.poll() == b""
-    assert servo.statistics().bytes_lost == 2 * len(MTU_REQUEST)
 
 
 def test_statistics_count_refused_requests(servo: Board) -> None:

@@ -145,13 +145,6 @@ def test_salt_is_valid_for_one_challenge(servo: Board) -> None:
     assert servo.ask(AUTH2, proof) == WRONG, "a key of an older salt"
 
 
-def test_request_of_level_0_does_not_change_the_level(servo: Board) -> None:
-    servo.set_passwords(b"v", None, None)
-    log_in(servo, 3, b"v")
-    assert servo.ask(AUTH2, bytes(21)) == Answer(0, b"\x00")
-    assert may(servo) == 3
-
-
 def test_an_incomplete_login_is_refused(servo: Board) -> None:
     servo.set_passwords(b"v", None, None)
     assert servo.ask(AUTH1) == BAD_SIZE

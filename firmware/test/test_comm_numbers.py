@@ -58,31 +58,6 @@ def test_crc_equals_bitwise_form(numbers: Numbers) -> None:
     assert [numbers.crc(bytes([i])) for i in range(256)] == [crc8(bytes([i])) for i in range(256)]
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("00", 0),
-        ("7F", 127),
-        ("80 01", 128),
-        ("F0 01", 240),
-        ("C0 84 3D", 1_000_000),
-        ("A0 80 80 80 02", 0x2000_0020),
-    ],
-)
-def test_unsigned_examples_are_written_and_read(numbers: Numbers, text: str, value: int) -> None:
-    data = bytes.fromhex(text)
-    assert numbers.put(value) == data
-    assert numbers.get(data, "unsigned") == (len(data), value)
-
-
-@pytest.mark.parametrize(
-    ("text", "value"), [("7F", -1), ("7C", -4), ("20", 32), ("C0 00", 64), ("9C 7F", -100), ("8080808078", -(2**31))]
-)
-def test_signed_examples_are_read(numbers: Numbers, text: str, value: int) -> None:
-    data = bytes.fromhex(text)
-    assert numbers.get(data, "signed") == (len(data), value)
-
-
 @given(value=U32)
 @examples(100)
 def test_unsigned_round_trip(numbers: Numbers, value: int) -> None:

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 
 import pytest
-from firmware_compiler import FIRMWARE, CompileProgram, has_library
+from firmware_compiler import CompileProgram, has_library
 from freemaster_model import COMM_SOURCES
 
 CORTEX_M3 = ["-mcpu=cortex-m3", "-mthumb", "-Os", "-ffreestanding", "-nostdlib", "-r"]
@@ -21,9 +21,3 @@ def test_size_on_cortex_m3(compile_program: CompileProgram) -> None:
     text, data, bss = map(int, listing.splitlines()[1].split()[:3])
     assert text <= CODE_SIZE_MAX, f"{text} bytes"
     assert (data, bss) == (0, 0), "no file-scope state"
-
-
-def test_model_knows_every_source() -> None:
-    generated = {"comm/variables_gen.c"}
-    sources = {f"comm/{path.name}" for path in (FIRMWARE / "comm").glob("*.c")}
-    assert sources - generated == set(COMM_SOURCES)

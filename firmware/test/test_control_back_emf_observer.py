@@ -11,7 +11,7 @@ import pytest
 from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from observer_rig import I_FS, PAIRS, PSI, SLOW, U_FS, Estimator, L, R, Rig, T
+from observer_rig import PSI, Estimator, L, R, Rig, T
 
 FULL16 = st.integers(-32768, 32767)
 
@@ -118,8 +118,3 @@ def test_rotation_of_the_back_emf_is_exact(core: Core) -> None:
         angle = 2.0 * math.pi * step / 2**32
         assert observer.rotation_sin / 2**32 == pytest.approx(math.sin(angle), abs=1e-5)
         assert observer.rotation_versine / 2**32 == pytest.approx(1.0 - math.cos(angle), abs=1e-5)
-
-
-def test_the_rig_has_the_scales_of_the_tuning_tool() -> None:
-    """The rig uses the same units as the tool."""
-    assert (U_FS, I_FS, PAIRS, SLOW) == (24.2, 8.25, 2, 8)

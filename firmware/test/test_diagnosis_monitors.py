@@ -11,7 +11,6 @@ from diagnosis_rig import (
     BUS_COMPENSATION,
     CURRENT,
     DEAD_TIME,
-    DIRECTION_MIN,
     EMF_FLOOR,
     ENCODER,
     FOLLOWING_ERROR,
@@ -738,7 +737,3 @@ def test_bus_voltage_and_over_current_latch(
     limits = rig.ffi.new("bus_monitor_t *", {"u_dc_max": 200, "u_dc_min": 100})
     rig.evidence.confirmed = rig.lib.bus_monitor_findings(limits, u_dc, settled, broken)
     assert rig.names() == findings
-
-
-def test_constants_of_the_rig_are_consistent() -> None:
-    assert DIRECTION_MIN < SILENT < EMF_FLOOR

@@ -64,13 +64,6 @@ def test_constant_code_while_others_are_noisy_is_a_current_sense_fault(bench: Be
     assert place(bench, 1) == (STATE.STOP, 0)
 
 
-def test_code_off_its_offset_without_current_is_a_current_sense_fault(bench: Bench) -> None:
-    bench.to_spin(0)
-    bench.hal.axis[0].offset_code = [2100, 2100, 2100]
-    bench.slow(8)
-    assert place(bench) == (STATE.FAULT, FAULTS.CURRENT_SENSE)
-
-
 def test_a_failed_converter_is_reported_instead_of_the_over_current_that_it_caused(bench: Bench) -> None:
     bench.to_spin(0)
     for k in range(300):
@@ -88,12 +81,6 @@ def without_current(bench: Bench) -> None:
     bench.to_spin(0)
     bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~FAULTS.ENCODER_LOST
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
-
-
-def test_voltage_without_current_is_a_lost_phase(bench: Bench) -> None:
-    without_current(bench)
-    bench.until(lambda: bench.view(0).state == STATE.FAULT, 400)
-    assert place(bench)[1] == FAULTS.PHASE_LOST
 
 
 @pytest.mark.parametrize(
@@ -249,13 +236,3 @@ def test_the_record_ends_with_the_fault_and_is_kept_until_it_is_cleared(bench: B
     bench.clear(0)
     bench.slow(70)
     assert {round(x / 8) for x in record.u_dc} == {2800}
-
-
-def test_the_first_fault_is_not_replaced(bench: Bench) -> None:
-    bench.to_spin(0)
-    bench.hal.axis[0].over_current = True
-    bench.slow()
-    bench.hal.axis[0].temperature_code = 4095
-    bench.slow(20)
-    assert place(bench)[1] == FAULTS.OVER_CURRENT | FAULTS.OVER_TEMPERATURE
-    assert bench.view(0).first_fault == code_of(FAULTS.OVER_CURRENT)

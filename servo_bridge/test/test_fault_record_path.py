@@ -32,7 +32,6 @@ READ_MEMORY = 0x21
 TOPIC = topics.fault_record_topic("axis1")
 PHASE_LOST, OVER_VOLTAGE = (CATALOGUE.flag("faults", name).mask for name in ("PHASE_LOST", "OVER_VOLTAGE"))
 LOST = recorded("PHASE_LOST", 8003, i_q=4000)
-LATER = recorded("OVER_VOLTAGE", 90_001, i_q=-2000)
 
 
 @pytest.fixture
@@ -176,32 +175,3 @@ def test_fault_is_published_with_its_record(rig: Rig) -> None:
     values = {pair.key: pair.value for pair in rig.diagnosis("axis1").values}
     assert values["first fault tick"] == "8003"
     assert values["first fault"] == record.summary().removeprefix("first fault ")
-
-
-def test_only_the_first_fault_after_clearing_is_published(rig: Rig) -> None:
-    fail(rig, PHASE_LOST)
-    rig.until(lambda: rig.messages[TOPIC])
-    fail(rig, PHASE_LOST | OVER_VOLTAGE)
-    rig.link.sample(8000)
-    rig.until(lambda: rig.link.reads.count("axis1.fault_record") == 2)  # the second read
-    rig.wait_for_pending()
-    assert len(rig.messages[TOPIC]) == 1
-    fail(rig, 0)
-    rig.link.blocks["axis1.fault_record"] = LATER
-    fail(rig, OVER_VOLTAGE)
-    rig.until(lambda: len(rig.messages[TOPIC]) == 2)
-    assert published(rig.messages[TOPIC][-1])[1] == decoded(LATER).table.tolist()
-
-
-def test_no_record_is_published_after_link_loss_during_the_read(rig: Rig) -> None:
-    """An incomplete record is not published; it is read again after the reconnection."""
-    rig.link.pending_reads = []
-    fail(rig, PHASE_LOST)
-    rig.until(lambda: rig.link.pending_reads)
-    rig.link.disconnect()
-    rig.until(lambda: rig.state().startswith("DISCONNECTED"))
-    assert rig.messages[TOPIC] == []
-    rig.link.pending_reads = None
-    rig.connect(FAULT, STOP)
-    rig.until(lambda: rig.messages[TOPIC])
-    assert published(rig.messages[TOPIC][-1])[1] == decoded(LOST).table.tolist()

@@ -11,20 +11,18 @@ from functools import partial
 from typing import Any
 
 import pytest
-from bridge_rig import FAULT, SPIN, STOP, FakeLink, Rig
+from bridge_rig import SPIN, STOP, FakeLink, Rig
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from servo_bridge.parameters import ParameterError
 from servo_bridge.wire.link_state import LinkState
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table, to_stamp
+from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table
 from servo_msgs_py.joints import Joint, JointLimits
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.qos import command_qos, latched_qos
 from std_msgs.msg import Float64, Float64MultiArray
-from std_srvs.srv import SetBool
 
 from servo_msgs_py import topics
 
@@ -72,31 +70,6 @@ def test_joint_states_are_si_and_stamped_with_board_time(rig: Rig) -> None:
     assert abs(stamps[-1] - time.time_ns()) < 5e9
 
 
-def test_stamps_increase_with_simulated_time_at_half_speed() -> None:
-    with Rig(use_sim_time=True) as rig:
-        clock = rig.user.create_publisher(Clock, "/clock", 10)
-        rig.until(clock.get_subscription_count)
-        start = time.monotonic_ns()
-        sent: list[int] = []
-
-        def simulated() -> int:
-            return 1_000_000_000_000 + (time.monotonic_ns() - start) // 2
-
-        def step() -> bool:
-            if time.monotonic_ns() - start >= len(sent) * 20_000_000:
-                sent.append(simulated())
-                clock.publish(Clock(clock=to_stamp(sent[-1])))
-                rig.link.sample(periods=320)
-            return len(sent) > 150
-
-        rig.connect()
-        rig.until(step, 30.0)
-        stamps = [from_stamp(m.header.stamp) for m in rig.messages[topics.JOINT_STATES][5:]]
-        assert len(stamps) > 50
-        assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
-        assert abs(stamps[-1] - sent[-1]) < 500_000_000
-
-
 def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
     rig.connect()
     for _ in range(100):
@@ -112,16 +85,6 @@ def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
     rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) == len(stamps))
     headers = (message.header.stamp for message in rig.messages[topics.JOINT_STATES])
     assert stamps == [(stamp.sec, stamp.nanosec) for stamp in headers]
-
-
-def test_positions_are_unwrapped_beyond_32_bits(rig: Rig) -> None:
-    rig.link.values["axis1.position"] = 2**31 - 10
-    rig.connect()
-    rig.link.values["axis1.position"] = -(2**31) + 10
-    rig.link.sample()
-    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= 2)
-    first, second = (m.position[0] for m in rig.messages[topics.JOINT_STATES][:2])
-    assert (second - first) / TURN * 4000 == pytest.approx(20, abs=1e-3)
 
 
 def test_joint_states_rate_is_the_maximum_rate() -> None:
@@ -185,13 +148,6 @@ def test_commands_array_and_single_position(rig: Rig) -> None:
     assert writes(rig, 3)[1:] == [("cmd.position", 0, (4000, 4000)), ("cmd.position", 1, (8000,))]
 
 
-def test_effort_uses_the_torque_constant_of_the_board(rig: Rig) -> None:
-    rig.enable_axes()
-    rig.joint_commands.publish(JointState(name=["axis1", "axis2"], effort=[0.04, 0.05]))
-    raw = CATALOGUE["cmd.i_q"].to_raw(1.0)
-    assert writes(rig, 2)[1] == ("cmd.i_q", 0, (raw, raw))
-
-
 @pytest.mark.parametrize(("field", "variable"), [("velocity", "cmd.speed"), ("effort", "cmd.i_q")])
 def test_repeated_message_renews_the_set_point_and_nothing_is_written_without_messages(
     rig: Rig, field: str, variable: str
@@ -207,21 +163,6 @@ def test_repeated_message_renews_the_set_point_and_nothing_is_written_without_me
     rig.until(lambda: time.monotonic() > end)
     rig.wait_for_pending()
     assert len(rig.link.written) == 4
-
-
-def test_expired_set_point_is_logged_once_with_board_time(rig: Rig) -> None:
-    expired = CATALOGUE.flag("limits", "EXPIRED").mask
-    rig.link.parameters["param.command_timeout"] = [CATALOGUE["param.command_timeout"].to_raw(0.25)]
-    rig.enable_axes()
-    rig.until(lambda: rig.messages[topics.PARAMETERS])
-    for limits in (0, 1, expired, expired | 1, expired, 0, expired):
-        rig.link.values["axis2.limits"] = limits
-        rig.link.sample()
-    text = "axis2: no velocity or effort set-point for 0.25 s; the axis stops"
-    rig.until(lambda: rig.logs().count(text) == 2)
-    rig.wait_for_pending()
-    assert rig.logs().count(text) == 2
-    assert "EXPIRED" in rig.diagnosis("axis2").message
 
 
 WRONG = [  # all invalid forms: test_set_points.py
@@ -299,16 +240,6 @@ def test_services_report_the_reason_of_a_missing_link(rig: Rig) -> None:
         assert "not connected: nothing answers" in answer[1]
 
 
-def test_enable_is_refused_in_fault_with_cause_and_remedy(rig: Rig) -> None:
-    rig.link.values["axis2.faults"] = 0b10
-    rig.connect(STOP, FAULT)
-    success, text = rig.enable(True)
-    assert not success
-    assert "axis2: UNDER_VOLTAGE: " in text
-    assert "clear_faults" in text
-    assert rig.link.written == []
-
-
 def test_quick_stop_blocks_set_points_until_enable(rig: Rig) -> None:
     rig.enable_axes()
     assert rig.quick_stop()[0]
@@ -321,33 +252,6 @@ def test_quick_stop_blocks_set_points_until_enable(rig: Rig) -> None:
     rig.until(rig.armed)
     rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
     assert [w[0] for w in writes(rig, 4)] == ["cmd.quick_stop", "cmd.enable", "cmd.mode", "cmd.position"]
-
-
-def test_clear_faults_reports_remaining_faults(rig: Rig) -> None:
-    rig.link.values["axis1.faults"] = 0b10
-    rig.connect(FAULT, STOP)
-    success, text = rig.clear_faults()
-    assert not success
-    assert "not cleared, the cause persists: axis1: UNDER_VOLTAGE" in text
-    rig.link.values["axis1.faults"] = 0
-    assert rig.clear_faults() == (True, "no faults")
-    assert rig.link.written == [("cmd.clear_faults", 0, (1, 1))] * 2
-
-
-def test_pending_service_does_not_block_others_and_link_loss_answers_it(rig: Rig) -> None:
-    rig.connect()
-    rig.link.ignores_writes = True
-    enable = rig.enable_client.call_async(SetBool.Request(data=True))
-    rig.until(lambda: rig.link.written)
-    seen = len(rig.messages[topics.JOINT_STATES])
-    for _ in range(20):
-        rig.link.sample()
-    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= seen + 20)
-    rig.wait_for_pending()
-    assert not enable.done()
-    rig.link.disconnect(reason="pulled")
-    rig.until(enable.done)
-    assert (enable.result().success, enable.result().message) == (False, "pulled")
 
 
 # ---- a lost link
@@ -392,15 +296,6 @@ def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: R
     assert rig.logs(40) == ["another table of variables; flash the firmware of this release"]
 
 
-def test_late_loops_of_the_board_are_a_warning_without_being_in_the_telemetry(rig: Rig) -> None:
-    rig.link.values["late_loops"] = rig.link.values["receiver_overruns"] = 7
-    rig.connect()
-    rig.until(lambda: {v.key: v.value for v in rig.diagnosis("board").values}["late loops"] == "7")
-    rig.link.values["late_loops"] = 9
-    rig.until(lambda: rig.diagnosis("board").message == "in the last second: 2 late loops")
-    assert rig.diagnosis("board").level == b"\x00"
-
-
 def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> None:
     """Both are read in addition to the telemetry."""
     found: list[list[float]] = []
@@ -419,23 +314,6 @@ def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> Non
     assert rig.diagnosis("axis2").level == b"\x00"
     rig.until(lambda: bool(found))
     assert found[-1] == [115.0, 80.0]
-
-
-def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
-    rig.connect()
-    rig.link.set_states(FAULT, STOP)
-    rig.link.values["axis1.faults"] = 0b101
-    for _ in range(5):
-        rig.link.sample()
-    rig.until(lambda: "FAULT" in rig.state())
-    axis = rig.diagnosis("axis1")
-    assert axis.level == b"\x02"
-    assert axis.message.startswith("OVER_VOLTAGE: ")
-    assert "OVER_CURRENT" in axis.message
-    rig.until(lambda: len(rig.logs(40)) >= 2)
-    rig.wait_for_pending()
-    assert len(rig.logs(40)) == 2
-    assert all(text.startswith("axis1: OVER_") for text in rig.logs(40))
 
 
 def test_board_reset_restarts_time_and_positions(rig: Rig) -> None:

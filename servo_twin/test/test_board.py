@@ -13,7 +13,6 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board, BoardError
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import keep_set_points
-from servo_twin.validation.experiments.named_faults import faults
 
 from servo_twin import _build_native
 
@@ -69,12 +68,6 @@ class TestTime:
         assert board.time_ns == 100 * MS
         assert board.record(50 * MS).size == 0
         assert board.record(101 * MS)["tick"].tolist() == [1608, 1616]
-
-    def test_recording_does_not_depend_on_its_pieces(self) -> None:
-        with Board(seed=5) as whole, Board(seed=5) as pieces:
-            expected = whole.record(40 * MS)
-            parts = [pieces.record(t) for t in [*range(1, 40 * MS, 1_234_567), 40 * MS]]
-            assert np.array_equal(np.concatenate(parts), expected)
 
 
 class TestVariables:
@@ -200,71 +193,6 @@ class TestPlant:
         board.run(1.5)
         for axis, target in [(0, math.pi), (1, -math.pi)]:
             assert board.truth(axis).theta_m - offsets[axis] == pytest.approx(target, abs=0.02)
-
-    def test_a_load_is_held_with_its_current(self, board: Board) -> None:
-        enable(board)
-        board.set_load(0, 0.05)
-        board.run(0.5)
-        log = board.record(board.time_ns + 100 * MS)
-        torque = board.si(log)["axis1.i_q"].mean() * board.plant.axes[0].torque_constant
-        assert torque == pytest.approx(0.05, abs=board.plant.axes[0].friction * 1.2)
-        assert abs(board.truth(0).omega_m) < 1.0
-
-    def test_braking_lifts_the_bus_by_no_more_than_the_kinetic_energy(self, board: Board) -> None:
-        enable(board)
-        board.write("param.i_q_limit", [4.0, 4.0])
-        board.write("cmd.mode", [1, 1])
-        board.run(0.01)
-        board.write("cmd.speed", [300.0, 300.0])
-        board.run(0.6)
-        assert board.truth(1).omega_m == pytest.approx(300.0, rel=0.02)
-        kinetic = sum(0.5 * axis.inertia * board.truth(k).omega_m ** 2 for k, axis in enumerate(board.plant.axes))
-        before = board.truth(0).u_dc
-        board.write("cmd.speed", [0.0, 0.0])
-        highest = before
-        for _ in range(600):
-            board.run(0.0005)
-            highest = max(highest, board.truth(0).u_dc)
-        bound = math.sqrt(before**2 + 2 * kinetic / board.plant.bus.capacitance)
-        assert 25.0 < highest < bound
-
-    def test_an_obstructed_shaft_rotates_from_stop_to_stop(self, board: Board) -> None:
-        board.run(0.01)
-        start = board.truth(0).theta_m
-        board.obstruct_shaft(0, 0.01, 0.02)
-        for load, stop in (
-            (-0.01, 0.02),
-            (0.01, -0.01),
-        ):  # negative load: it accelerates the shaft, the outputs are off
-            board.set_load(0, load)
-            board.run(0.1)
-            truth = board.truth(0)
-            assert truth.theta_m - start == pytest.approx(stop, abs=1e-12)
-            assert truth.omega_m == 0.0
-        board.obstruct_shaft(0, math.inf, math.inf)
-        board.run(0.05)
-        assert board.truth(0).theta_m - start < -0.1
-
-    def test_an_unplugged_motor_has_no_current_and_no_torque(self, board: Board) -> None:
-        enable(board)
-        board.connect_motor(0, False)
-        start = board.truth(1).theta_m
-        board.write("cmd.position", [1.0, 1.0])
-        for _ in range(50):
-            board.run(0.001)
-            truth = board.truth(0)
-            assert (truth.i_d, truth.i_q, truth.torque_e) == (0.0, 0.0, 0.0)
-        assert abs(board.truth(1).theta_m - start) > 0.2
-        assert faults(board, 0) == {"PHASE_LOST"}
-        board.connect_motor(0)
-        board.write("cmd.clear_faults", [1, 0])
-        board.run(0.05)
-        board.write("cmd.enable", [1, 1])
-        torques = []
-        for _ in range(50):
-            board.run(0.01)
-            torques.append(board.truth(0).torque_e)
-        assert any(torques)
 
     def test_board_has_the_given_plant(self) -> None:
         with Board(PlantConfig.load().with_axis(0, theta_start=1.0).with_bus(u_source=20.0)) as board:

@@ -267,21 +267,3 @@ class TestSerialLine:
             chip.run(chip.hal.now_ns + 4200 * 1000)
         assert len(self.fetch(chip)) == 65536
         assert chip.hal.uart.tx_lost == 20 * 4096 - 65536
-
-
-def test_run_does_not_depend_on_its_time_steps(make: Callable[..., Chip]) -> None:
-    """A run in one call and a run in many unequal calls give the same result."""
-
-    def result(pieces: list[int]) -> list[Any]:
-        chip = make(PlantConfig.load())
-        chip.servo.log_background = True
-        chip.lib.uart_host_write(chip.ffi.addressof(chip.hal.uart), b"hello", 5, 0)
-        chip.switch_on(0, 18000, 15000, 16000)
-        chip.motor(1).omega = 250.0
-        for piece in pieces:
-            chip.run(piece)
-        calls = [(c.time_ns, c.kind, c.axis, c.currents.first, c.offsets.second, c.bus) for c in chip.calls()]
-        return [calls, chip.motor(0).theta, chip.motor(1).omega, chip.hal.plant.bus.u]
-
-    end = 50 * PERIOD_NS
-    assert result([end]) == result(sorted({*range(1, end, 7919), end}))

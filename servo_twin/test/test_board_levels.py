@@ -20,7 +20,6 @@ from servo_twin.validation.experiments.named_faults import faults
 LEVELS: tuple[Level, ...] = ("registers", "ideal")
 ENTER, LEAVE, LOAD, WRITE = 8, 9, 2, 10
 M1, M2, START = 85, 30, 87
-PERIOD = 6250
 HALF_PERIOD_US = PERIOD_NS / 2000
 ADC_GC1, SIM_RSTAT, PWMA_MCTRL, INTC_IPR9 = 0xE550, 0xE401, 0xE6C4, 0xE309
 
@@ -56,23 +55,6 @@ class TestChoice:
                 board.peek(PWMA_MCTRL)
             assert board.trace(1_000_000).size == 0
             assert board.time_ns == 1_000_000
-
-
-def test_both_levels_do_the_same_move() -> None:
-    """The largest current is one noisy sample, so its mean over three boards is compared."""
-    currents: dict[Level, list[list[float]]] = {level: [] for level in LEVELS}
-    for seed in (1, 2, 3):
-        reached = {}
-        for level in LEVELS:
-            with Board(level=level, seed=seed) as board:
-                enable(board)
-                reached[level], _ = move(board, {0: 4000, 1: -2000}, 0.6)
-            currents[level].append([result.i_q_max for result in reached[level]])
-        for registers, ideal in zip(reached["registers"], reached["ideal"], strict=True):
-            assert abs(registers.reached - registers.target) <= 4
-            assert registers.speed_max == pytest.approx(ideal.speed_max, rel=0.03)
-    mean = {level: np.mean(found, axis=0) for level, found in currents.items()}
-    assert mean["registers"] == pytest.approx(mean["ideal"], rel=0.1)
 
 
 def test_both_levels_heat_the_power_stages_alike() -> None:
@@ -129,26 +111,6 @@ def test_board_in_use_starts_with_a_warm_winding_model(level: Level) -> None:
         assert board.truth(0).t_winding == pytest.approx(25.0, abs=0.1)
         with pytest.raises(ValueError, match="300 deg C is not within -256"):
             board.set_winding(0, 300.0)
-
-
-def test_same_calls_give_the_same_bits() -> None:
-    def run() -> tuple[bytes, bytes]:
-        with Board(level="registers", seed=11) as board:
-            trace = board.trace(20_000_000)
-            return trace.tobytes(), enable(board).tobytes()
-
-    assert run() == run()
-
-
-def test_run_does_not_depend_on_its_pieces() -> None:
-    ends = []
-    for step in (3_000_000, 777_770, 62_500):
-        with Board(level="registers", seed=2) as board:
-            for until in range(step, 30_000_001, step):
-                board.advance(until)
-            board.advance(30_000_000)
-            ends.append(board.record(60_000_000).tobytes())
-    assert ends[0] == ends[1] == ends[2]
 
 
 def test_run_suspended_in_a_handler_continues_in_another_thread() -> None:
@@ -259,22 +221,6 @@ class TestErrors:
                 bad.peek(0x0100)
             good.run(0.01)
             assert good.read_raw("tick")[0] > 100
-
-
-def test_watchdog_restarts_the_firmware() -> None:
-    """Without interrupt M1 the watchdog is not serviced: the chip is reset, and the sequence runs again."""
-    with Board(level="registers") as board:
-        board.run(0.02)
-        (ticks,) = board.read_raw("tick")
-        served = board.stats().watchdog_services
-        assert served > 10
-        board.poke(INTC_IPR9, board.peek(INTC_IPR9) & ~0x0300)  # priority of PWMA_CMP1: off
-        board.run(0.04)
-        assert board.stats().watchdog_services == served
-        board.run(0.05)
-        assert board.peek(SIM_RSTAT) & 0x0020
-        assert 0 < board.read_raw("tick")[0] < ticks + 16 * 50
-        assert board.stats().watchdog_services > served
 
 
 @pytest.mark.parametrize("seed", range(1, 7))

@@ -16,7 +16,6 @@ from servo_twin.fault_injection import (
     EncoderGlitches,
     HotPowerStage,
     InjectedFault,
-    LockedRotor,
     OpenPhase,
     ShortedPhase,
     StuckConverter,
@@ -260,14 +259,6 @@ def test_open_phase_has_no_current(board: Board) -> None:
     board.clear_fault(OpenPhase(0, "a"))
 
 
-def test_stuck_converter_is_detected(board: Board) -> None:
-    board.inject(StuckConverter(0, "c", 3000))
-    board.run(0.02)
-    board.write("cmd.enable", [1, 0])
-    board.run(0.2)
-    assert faults(board, 0) == {"CURRENT_SENSE"}
-
-
 def counts_seen(board: Board) -> set[int]:
     seen = set()
     for _ in range(100):
@@ -302,14 +293,6 @@ def test_glitches_do_not_change_the_count(board: Board, line: Any) -> None:
     board.clear_fault()
     board.run(0.001)
     assert board.read_raw("axis1.position")[0] == before
-
-
-def test_blocked_rotor_does_not_move(board: Board) -> None:
-    turn(board, 100.0)
-    board.inject(LockedRotor(0))
-    board.run(0.01)
-    assert board.truth(0).omega_m == 0.0
-    assert board.truth(1).omega_m > 80.0
 
 
 def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:

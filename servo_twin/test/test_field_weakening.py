@@ -66,16 +66,6 @@ def test_torque_mode_reaches_the_speed_limit(rated: Board) -> None:
     assert float(run.omega.std()) < 60.0 * RPM
 
 
-def test_speed_falls_to_the_voltage_limit_if_the_feature_is_disabled_in_motion(rated: Board) -> None:
-    rated.set_load(AXIS, field_weakening.STEP)
-    rated.run(0.1)
-    features(rated, AXIS, FIELD_WEAKENING=False)
-    run = record(rated, [AXIS], 0.3)[AXIS]
-    assert float(np.abs(run.i_d[40:]).mean()) < 0.1
-    target = field_weakening.theoretical_speed(PlantConfig.load().axes[AXIS], 24.0, field_weakening.STEP, weak=False)
-    assert float(run.omega[-100:].mean()) == pytest.approx(target, rel=field_weakening.SPEED_TOLERANCE)
-
-
 def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
     """Observer and encoder agree on the rotor angle, also at the voltage limit."""
     features(rated, AXIS, ANGLE_CHECK=True)
@@ -84,13 +74,6 @@ def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
         rated.set_supply(supply)
         run = record(rated, [AXIS], 0.3)[AXIS]  # fails on a fault
         assert float(run.i_d[-100:].mean()) < -0.3
-
-
-def test_stop_ends_field_weakening(rated: Board) -> None:
-    rated.write("cmd.enable", [0, 0])
-    run = record(rated, [AXIS], 0.4)[AXIS]
-    assert float(np.abs(run.omega[-1])) < 1.0
-    assert float(np.abs(run.i_d[-100:]).max()) < 0.1
 
 
 def test_field_weakening_works_without_an_encoder() -> None:
@@ -128,15 +111,6 @@ def test_outputs_off_at_the_rated_speed_keep_the_bus_voltage(rated: Board, suppl
     assert float(run.u_dc.max()) < max(24.0, 22.4) + 0.2
     assert not run.faults.any()
     assert float(np.abs(run.i_d[2:]).max()) < 0.1
-
-
-def test_a_fault_at_the_rated_speed_coasts(rated: Board) -> None:
-    board = rated
-    board.connect_encoder(AXIS, False)
-    run = record(board, [AXIS], 0.3, may_fail=True)[AXIS]
-    (first, *_) = np.nonzero(run.faults)[0]
-    assert run.state[first] != run.state[0]
-    assert float(np.hypot(run.i_d, run.i_q)[first + 1 :].max()) < 0.1
 
 
 def test_experiment_agrees_and_detects_a_disabled_feature(monkeypatch: pytest.MonkeyPatch) -> None:

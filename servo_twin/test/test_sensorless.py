@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board
 from servo_twin.fault_injection import SlippedEncoder
@@ -65,20 +64,6 @@ def until_fault(board: Board, seconds: float, axis: int = 0) -> tuple[float, lis
     return math.inf, []
 
 
-def angle_errors(board: Board, ticks: int, axis: int = 0) -> NDArray[np.float64]:
-    """Observed angle of the last sample minus true angle at the end of the tick [electrical degrees]."""
-    errors = []
-    for _ in range(ticks):
-        board.advance(board.time_ns + TICK_NS)
-        truth = board.truth(axis)
-        late = truth.omega_m * 62.5e-6 * (1.0 - 0.5 * axis)
-        theta = board.read(f"axis{axis + 1}.theta_e")
-        assert isinstance(theta, float)
-        errors.append(math.remainder(theta - PAIRS * (truth.theta_m - late), 2.0 * math.pi))
-    in_degrees: NDArray[np.float64] = np.degrees(np.array(errors))
-    return in_degrees
-
-
 @pytest.fixture
 def running() -> Iterator[Board]:
     """Axis 1 without its encoder at 100 rad/s, axis 2 waiting."""
@@ -86,36 +71,6 @@ def running() -> Iterator[Board]:
         until(board, SPIN, 0.5)
         board.run(0.3)
         yield board
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_start_up_time_agrees_with_the_slide(seed: int) -> None:
-    """ST slide "Example of a start-up": criterion met in 500 ms. Both axes start at once, in opposite directions."""
-    with sensorless((100.0, -200.0), seed=seed) as board:
-        assert until(board, SPIN, 0.5) < 0.35
-        assert until(board, SPIN, 0.5, axis=1) < 0.35
-        board.run(0.4)
-        assert board.truth(0).omega_m == pytest.approx(100.0, abs=3.0)
-        assert board.truth(1).omega_m == pytest.approx(-200.0, abs=4.0)
-        assert faults(board) == faults(board, 1) == []
-
-
-@pytest.mark.parametrize(("speed", "spread"), [(16.0, 4.0), (-30.0, 2.0), (150.0, 1.5), (300.0, 1.0), (-300.0, 1.0)])
-def test_angle_error_is_small_at_every_speed(speed: float, spread: float) -> None:
-    """From 5 % of the top speed the ripple of the dead time is small, and the mean angle is correct.
-
-    At low speed the voltage drop of the d current at the switches (30 mohm), unknown to the observer, is significant.
-    """
-    unknown = 0.03 * 0.75 if abs(speed) < 40.0 else 0.0
-    bias = 1.0 + math.degrees(unknown / (2 * abs(speed) * 0.0154))
-    with sensorless((speed, 0.0)) as board:
-        until(board, SPIN, 0.5)
-        board.run(0.5)
-        errors = angle_errors(board, 400)
-        assert abs(errors.mean()) < bias
-        assert errors.std() < spread
-        assert board.truth(0).omega_m == pytest.approx(speed, abs=5.0)
-        assert board.read("axis1.estimate_reliable") == 1
 
 
 def test_hand_over_has_no_jump() -> None:
@@ -160,30 +115,6 @@ def test_flying_start_of_a_turning_shaft(speed: float) -> None:
         assert board.truth(0).omega_m == pytest.approx(speed, abs=4.0)
 
 
-def test_a_load_step_does_not_stop_the_shaft(running: Board) -> None:
-    running.set_load(0, 0.04)
-    running.run(0.3)
-    assert running.truth(0).omega_m == pytest.approx(100.0, abs=3.0)
-    assert np.abs(angle_errors(running, 200)).max() < 6.0
-
-
-@pytest.mark.parametrize(("speed", "torque"), [(16.0, 0.05), (-16.0, -0.05), (60.0, 0.1), (100.0, 0.12)])
-def test_heavy_load_step_does_not_stop_the_shaft(speed: float, torque: float) -> None:
-    """An active load, several times the load that stops the shaft before the observer reacts, applied and removed."""
-    with sensorless((speed, 0.0)) as board:
-        until(board, SPIN, 0.5)
-        board.run(0.4)
-        board.set_load(0, torque)
-        board.run(0.3)
-        assert faults(board) == []
-        assert board.truth(0).omega_m == pytest.approx(speed, abs=2.0)
-        assert np.abs(angle_errors(board, 100)).mean() < 8.0
-        board.set_load(0, 0.0)
-        board.run(0.3)
-        assert faults(board) == []
-        assert board.truth(0).omega_m == pytest.approx(speed, abs=2.0)
-
-
 def test_no_ripple_without_load() -> None:
     """With currents near zero the dead time dominates the voltage; the d current prevents that."""
     with sensorless((100.0, 0.0)) as board:
@@ -211,25 +142,6 @@ def test_reversal_goes_through_a_new_start(running: Board) -> None:
     assert running.truth(0).omega_m == pytest.approx(-100.0, abs=3.0)
 
 
-def test_axis_waits_below_the_minimum_speed(running: Board) -> None:
-    set_axis(running, "cmd.speed", 0, 5.0)
-    until(running, READY, 0.1)
-    running.run(0.3)
-    assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
-    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS
-    set_axis(running, "cmd.speed", 0, 50.0)
-    until(running, SPIN, 0.5)
-
-
-def test_no_position_without_an_encoder(running: Board) -> None:
-    choose_mode(running, 0, "POSITION")
-    set_axis(running, "cmd.position", 0, 10.0)
-    until(running, READY, 0.1)
-    running.run(0.3)
-    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS
-    assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
-
-
 def test_torque_mode_starts_only_with_a_turning_shaft(running: Board) -> None:
     """The start-up rotates the shaft with its own current, independent of the torque set-point."""
     choose_mode(running, 0, "TORQUE")
@@ -255,41 +167,10 @@ def test_disable_ramps_down_and_switches_off(running: Board) -> None:
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=1.0)
 
 
-@pytest.mark.parametrize(("speed", "within"), [(20.0, 0.132), (100.0, 0.08), (300.0, 0.08)])
-def test_stalled_rotor_is_detected(speed: float, within: float) -> None:
-    """Near the minimum speed the bound is that of the experiment `sensorless-stall`; at most angles it takes 45 ms."""
-    with sensorless((speed, -100.0)) as board:
-        until(board, SPIN, 0.5)
-        until(board, SPIN, 0.5, axis=1)
-        board.run(0.3)
-        board.lock_shaft(0)
-        time, names = until_fault(board, 0.3)
-        assert names == ["SPEED_FEEDBACK"]
-        assert time < within
-        board.run(0.1)
-        assert faults(board, 1) == []
-        assert board.truth(1).omega_m == pytest.approx(-100.0, abs=5.0)
-
-
-def test_blocked_shaft_does_not_start() -> None:
-    with sensorless((100.0, 0.0)) as board:
-        board.lock_shaft(0)
-        time, names = until_fault(board, 3.0)
-        assert names == ["START_UP"]
-        assert time == pytest.approx(1.55, abs=0.1)
-
-
 def test_unplugged_motor_does_not_start() -> None:
     with sensorless((100.0, 0.0)) as board:
         board.connect_motor(0, False)
         assert until_fault(board, 3.0)[1] == ["PHASE_LOST"]
-
-
-def test_start_up_works_at_level_registers() -> None:
-    with sensorless((100.0, 0.0), level="registers") as board:
-        until(board, SPIN, 0.5)
-        board.run(0.15)
-        assert board.truth(0).omega_m == pytest.approx(100.0, abs=4.0)
 
 
 # ---- the observer beside an encoder ----------------------------------------------------------------------------------
@@ -338,22 +219,6 @@ def test_offset_of_90_degrees_is_detected_by_a_rotating_vector() -> None:
         time, names = fault_of_offset(board, 90.0, 1.0)
         assert names == ["ANGLE_MISMATCH"]
         assert time < 0.7
-
-
-@pytest.mark.parametrize("mode", ["TORQUE", "SPEED"])
-def test_dead_encoder_of_a_turning_shaft_is_detected(mode: str) -> None:
-    with with_encoders() as board:
-        features(board, 0, ANGLE_CHECK=True)
-        choose_mode(board, 0, "SPEED")
-        set_axis(board, "cmd.speed", 0, 100.0)
-        board.run(0.2)
-        choose_mode(board, 0, mode)
-        if mode == "TORQUE":
-            set_axis(board, "cmd.i_q", 0, 0.1)
-        board.connect_encoder(0, False)
-        time, names = until_fault(board, 0.1)
-        assert "ANGLE_MISMATCH" in names
-        assert time < 0.008
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])

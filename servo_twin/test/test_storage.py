@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
 from servo_msgs_py.board_parameters import parameters
@@ -19,7 +18,6 @@ from servo_twin.lockstep.replica import Replica
 pytestmark = pytest.mark.usefixtures("level")
 
 CATALOGUE: Final = Catalogue.load()
-WORDS: Final = 4 * 256  # of both copies, at the end of the flash
 COMMANDS: Final = 3 + 5 + sum(v.count for v in parameters(CATALOGUE)) + 2 * len(AxisConfigTable.load())
 """Flash commands of a save: two sectors, every word, the seal."""
 
@@ -66,38 +64,11 @@ class Kept:
             self.run(0.0005)
         raise AssertionError("the request never ends")
 
-    def words(self) -> NDArray[np.uint32]:
-        return np.frombuffer(self.board.flash_image(), "<u4")
-
 
 @pytest.fixture
 def kept() -> Iterator[Kept]:
     with Kept() as kept:
         yield kept
-
-
-def test_saved_values_are_restored_after_power_off(kept: Kept) -> None:
-    kept.change(1)
-    values = kept.values()
-    before = kept.board.time_ns
-    storage = kept.execute_request("SAVE")
-    took = (kept.board.time_ns - before) * 1e-6
-    assert storage == (1, "BUILT_IN", ("INTACT", "EMPTY"))
-    assert kept.board.flash_state().commands == COMMANDS
-    assert 45.0 < took < 80.0, "two erases of 14 ms, 65 us per word, and the periods of the background"
-    assert kept.board.read("late_loops") == kept.board.read("receiver_overruns") == 0
-    with Kept(kept.board.cut_power()) as after:
-        assert after.values() == values
-        assert read_storage(after.memory) == (1, "COPY_A", ("INTACT", "EMPTY"))
-        assert [after.board.read(f"axis{n}.state") for n in (1, 2)] == [CATALOGUE.enums["state_t"]["STOP"]] * 2
-
-
-def test_each_sector_is_erased_by_every_second_save(kept: Kept) -> None:
-    for number in range(5):
-        kept.change(number)
-        kept.execute_request("SAVE")
-    assert list(kept.words()[-8:]) == [0, 0, 0, 0, 3, 3, 2, 2]
-    assert set(kept.words()[: -32 - WORDS]) == {0xFFFF_FFFF}, "these sectors contain the tables of the chip"
 
 
 def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
@@ -130,26 +101,6 @@ def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
             assert bool(state.trouble) == (state.copies[1] == "DAMAGED")
     assert seen[-1], "the seal is complete"
     assert not any(seen[:-1]), "a partial seal is valid with a probability of 2^-32"
-
-
-def test_power_failure_at_any_instant_of_a_factory_reset(kept: Kept) -> None:
-    built_in = kept.values()
-    for number in (1, 2):
-        kept.change(number)
-        kept.execute_request("SAVE")
-    newest = kept.values()
-    image = kept.board.flash_image()
-    for number in range(1, 5):
-        for part in (0.0, 0.01, 0.4, 0.99, 1.0):
-            with Kept(image, seed=number) as board:
-                board.board.cut_flash(number, part)
-                begin_request(board.memory, "FACTORY")
-                board.run(0.1)
-                flash_after = board.board.flash_image()
-            with Kept(flash_after) as board:
-                assert board.values() in (built_in, newest)
-                if number < 3:
-                    assert board.values() == newest
 
 
 def test_a_power_failure_at_any_instant_ends_the_flash_command(kept: Kept) -> None:

@@ -6,11 +6,9 @@ import contextlib
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,6 @@ from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts
-from servo_twin.view.web_page import free_port
 from servo_twin.viewer_node import main
 from std_msgs.msg import Bool, Float64MultiArray, String
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, move, stamp, verify
@@ -244,38 +241,6 @@ def test_published_data_are_in_the_file_after_sigterm(start: Start, robot: Robot
     assert [state for _, state in read_texts(file, scene.state_entity("twin"), "StateChange:state")] == ["HEALTHY"]
     assert any("OVER_CURRENT" in text and "clear the fault" in text for _, text in read_texts(file, "/log/axis1"))
     assert [text for _, text in read_texts(file, "/log/diagnostics")] == ["diagnostics: servo_bridge: link: 2 timeouts"]
-
-
-def test_without_a_twin_the_board_is_recorded_until_ctrl_c(start: Start, robot: Robot, tmp_path: Path) -> None:
-    file = tmp_path / "run.rrd"
-    viewer = start(record=file, web=False)
-    robot.wait_for_viewer(viewer)
-    robot.publish("/servo/snapshot", Float64MultiArray(data=[1.0, 2.0]))  # no telemetry table
-    robot.rows("/servo/snapshot")
-    _wait_points(file, {BOARD_SPEED: 500})
-    assert viewer.stop(signal.SIGINT) == 0
-    assert "not a telemetry table" in viewer.text()
-    assert "Traceback" not in viewer.text()
-    assert verify(file).returncode == 0
-    assert _points(file, TWIN_SPEED) == 0
-
-
-def test_the_page_is_served_beside_ports_in_use_and_ends_with_the_node(start: Start, tmp_path: Path) -> None:
-    with socket.socket() as busy:
-        busy.bind(("127.0.0.1", 0))
-        busy.listen()
-        taken = busy.getsockname()[1]
-        viewer = start(record=tmp_path / "run.rrd", web_port=taken, grpc_port=free_port(taken + 100))
-        url = viewer.wait_for(r"http://127\.0\.0\.1:(\d+)\S*")
-        assert int(url.group(1)) != taken
-        viewer.wait_for(f"web_port {taken} is in use")
-        with urllib.request.urlopen(url.group(0), timeout=10.0) as answer:
-            assert answer.status == 200
-        assert viewer.stop(signal.SIGTERM) == 0
-    assert "Traceback" not in viewer.text()
-    assert verify(tmp_path / "run.rrd").returncode == 0
-    with socket.socket() as probe:
-        assert probe.connect_ex(("127.0.0.1", int(url.group(1)))) != 0
 
 
 @pytest.mark.parametrize(
