@@ -54,7 +54,8 @@ class CallbackWatch:
         self._lock = threading.Lock()
         self._running: tuple[str, float] | None = None  # name and begin [s] of the outermost callback
         self._sign = clock()  # last sign of life [s]
-        self._last = self._ever = CallbackTime()
+        self._last = CallbackTime()
+        self._longest: dict[str, CallbackTime] = {}  # since the start, by name
         self._pause_last = self._pause_ever = 0.0
 
     def begin(self) -> None:
@@ -85,7 +86,7 @@ class CallbackWatch:
             taken = CallbackTime(name, end - begin, self._cpu_clock() - cpu)
             with self._lock:
                 self._last = max(self._last, taken, key=_wall)
-                self._ever = max(self._ever, taken, key=_wall)
+                self._longest[name] = max(self._longest.get(name, taken), taken, key=_wall)
             if outermost:
                 self._running = None
                 self._live(end)
@@ -106,9 +107,15 @@ class CallbackWatch:
     def report(self) -> CallbackReport:
         """Return the longest times and begin a new period."""
         with self._lock:
-            report = CallbackReport(self._last, self._ever, self._pause_last, self._pause_ever)
+            ever = max(self._longest.values(), default=CallbackTime(), key=_wall)
+            report = CallbackReport(self._last, ever, self._pause_last, self._pause_ever)
             self._last, self._pause_last = CallbackTime(), 0.0
         return report
+
+    def longest(self) -> dict[str, CallbackTime]:
+        """Return the longest call of every callback since the start, by name."""
+        with self._lock:
+            return dict(self._longest)
 
     def _live(self, now: float) -> None:
         pause, self._sign = now - self._sign, now

@@ -11,7 +11,7 @@ from servo_bridge.arbiter import Arbiter
 from servo_bridge.health import CommandFigures
 from servo_bridge.set_point_sources import Source
 from servo_bridge.set_points import Rejected
-from servo_bridge.throttle import Repetitions, Throttle
+from servo_bridge.throttle import Throttle
 from servo_bridge.trajectory.check import Limits
 
 
@@ -53,14 +53,14 @@ class CommandContext:
         self._info = info
         self._warn = warn
         self._throttle = Throttle(burst=20, rate=2.0)
-        self._repetitions = Repetitions(pause=1.0)
-        self._conflicts = Throttle(burst=1, rate=0.2)
+        self._repetitions = Throttle()
+        self._conflicts = Throttle(rate=0.2, pause=5.0)
 
     def accept(self) -> None:
         """Count an accepted set-point and start its transmission."""
         self.figures.accepted += 1
         conflict = self.arbiter.sources.conflict()
-        if conflict is not None and self._conflicts.admit(conflict.joint, time.monotonic()) is not None:
+        if conflict is not None and self._conflicts.admit(conflict.joint, time.monotonic()):
             self._warn(self.conflict())
         self._accepted()
 
@@ -76,10 +76,12 @@ class CommandContext:
         )
 
     def report_repetitions(self) -> None:
-        """Log the number of repeated rejections that have ended; called once a second."""
-        for one in self._repetitions.ended(time.monotonic()):
-            if one.count > 1:
-                self._info(f"{one.count} set-points were rejected within {one.end - one.begin:.1f} s: {one.text}")
+        """Log the number of rejections of bursts that were not logged completely; called once a second."""
+        now = time.monotonic()
+        for one in (*self._repetitions.ended(now), *self._throttle.ended(now)):
+            self._info(
+                f"{one.count} set-points were rejected within {one.end - one.begin:.1f} s, the first: {one.text}"
+            )
 
     def _named(self, source: Source) -> str:
         """Text of a source, with the nodes that publish on its topic."""
@@ -94,11 +96,7 @@ class CommandContext:
         """
         self.figures.rejected += 1
         self.figures.last_rejection = str(error)
-        if repeats and error.kind:
-            if self._repetitions.admit((source, error.kind), time.monotonic(), str(error)):
-                self._warn(f"rejected, no motion: {error}")
-            return
-        held = self._throttle.admit(source, time.monotonic())
-        if held is not None:
-            more = f" ({held} more rejections before this one)" if held else ""
-            self._warn(f"rejected, no motion: {error}{more}")
+        repeated = repeats and error.kind
+        throttle, key = (self._repetitions, (source, error.kind)) if repeated else (self._throttle, source)
+        if throttle.admit(key, time.monotonic(), str(error)):
+            self._warn(f"rejected, no motion: {error}")

@@ -15,6 +15,7 @@ from servo_msgs_py.convert import to_stamp
 from servo_msgs_py.joints import Joint
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.command_context import CommandContext
 from servo_bridge.goals import Goals
 from servo_bridge.set_points import Rejected
@@ -42,7 +43,22 @@ class _Server(ActionServer):
 
     With rclpy alone, a function that returns the result blocks the executor, and the events executor polls a waiting
     coroutine without pause, which occupies a core.
+
+    Parameters
+    ----------
+    watch : CallbackWatch
+        Measures the conversion of requests, which the executor calls.
+    arguments
+        Of `ActionServer`.
     """
+
+    def __init__(self, watch: CallbackWatch, *arguments: Any, **options: Any) -> None:
+        self._watch = watch
+        super().__init__(*arguments, **options)
+
+    def take_data(self) -> Any:
+        """Take the requests that have arrived."""
+        return self._watch.call(f"action {_SOURCE}: conversion", super().take_data)
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
         """Do nothing: the goal is executing from now on."""
@@ -118,9 +134,18 @@ class FollowAction:
         Follows and checks the goals.
     defaults : GoalDefaults
         Default tolerances.
+    watch : CallbackWatch
+        Measures the callbacks.
     """
 
-    def __init__(self, context: CommandContext, interfaces: ModuleType, goals: Goals, defaults: GoalDefaults) -> None:
+    def __init__(
+        self,
+        context: CommandContext,
+        interfaces: ModuleType,
+        goals: Goals,
+        defaults: GoalDefaults,
+        watch: CallbackWatch,
+    ) -> None:
         self._node = context.node
         self._gears = {joint.name: joint for joint in context.arbiter.joints}
         self._type: Any = interfaces.FollowJointTrajectory
@@ -128,12 +153,13 @@ class FollowAction:
         self._defaults = defaults
         self._running: list[Any] = []  # handles of goals without a result
         self._server = _Server(
+            watch,
             self._node,
             self._type,
             _SOURCE,
             lambda _handle: None,  # every goal is ended by `finish`
-            handle_accepted_callback=self._accept,
-            cancel_callback=self._cancel,
+            handle_accepted_callback=watch.timed(f"action {_SOURCE}: goal", self._accept),
+            cancel_callback=watch.timed(f"action {_SOURCE}: cancel", self._cancel),
         )
 
     def _cancel(self, handle: Any) -> CancelResponse:

@@ -72,6 +72,7 @@ class ServoBridge(LifecycleNode):
             values = declare(self)
             watch(self, self._catalogue, lambda: self.supervisor)
             self._reject_invalid_transitions()
+            self._measure_services_of_rclpy()
             if values["autostart"]:
                 self._start()
             else:
@@ -210,6 +211,12 @@ class ServoBridge(LifecycleNode):
             self._error = error
             return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
+
+    def _measure_services_of_rclpy(self) -> None:
+        """Measure the services that rclpy creates without `create_service`, such as those of the lifecycle."""
+        for service in self.services:
+            if not hasattr(service.callback, "__wrapped__"):
+                service.callback = self.watch.timed(f"service {service.srv_name}", service.callback)
 
     def _reject_invalid_transitions(self) -> None:
         """Answer impossible transitions of the service change_state; in rclpy they end the executor."""

@@ -256,7 +256,7 @@ class Supervisor:
                 "with ros-jazzy-control-msgs)"
             )
             return None
-        return FollowAction(self._commands, interfaces, self._goals, self._settings.goal_defaults)
+        return FollowAction(self._commands, interfaces, self._goals, self._settings.goal_defaults, self._watch)
 
     def _start_timers(self) -> None:
         node, steady = self._node, Clock(clock_type=ClockType.STEADY_TIME)

@@ -1,4 +1,4 @@
-"""Limits the rate of log messages about refused commands."""
+"""Limits the rate of log messages about events that repeat, and counts the events."""
 
 from __future__ import annotations
 
@@ -6,8 +6,20 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 
+@dataclass
+class Burst:
+    """Events of one kind that follow each other."""
+
+    text: str  # of the first one
+    begin: float  # time of the first one [s]
+    end: float  # time of the newest one [s]
+    tokens: float  # messages that may be logged now
+    count: int = 0
+    suppressed: int = 0  # of them without a message
+
+
 class Throttle:
-    """Token bucket for each key.
+    """Token bucket for each kind of event; a pause ends the burst and fills its bucket.
 
     Parameters
     ----------
@@ -15,71 +27,31 @@ class Throttle:
         Messages without limitation.
     rate : float
         Rate after that [1/s].
+    pause : float
+        Time without an event that ends a burst [s].
     """
 
-    def __init__(self, burst: int, rate: float) -> None:
+    def __init__(self, burst: int = 1, rate: float = 0.0, pause: float = 1.0) -> None:
         self._burst = float(burst)
         self._rate = rate
-        self._buckets: dict[str, tuple[float, float, int]] = {}  # tokens, time, suppressed messages
-
-    def admit(self, key: str, now: float) -> int | None:
-        """Check whether a message may be logged.
-
-        Parameters
-        ----------
-        key : str
-            Subject of the message.
-        now : float
-            Steady time [s].
-
-        Returns
-        -------
-        int or None
-            None: suppress the message. Otherwise the number of suppressed messages since the last one.
-        """
-        tokens, last, held = self._buckets.get(key, (self._burst, now, 0))
-        tokens = min(self._burst, tokens + (now - last) * self._rate)
-        if tokens < 1.0:
-            self._buckets[key] = (tokens, now, held + 1)
-            return None
-        self._buckets[key] = (tokens - 1.0, now, 0)
-        return held
-
-
-@dataclass
-class Repetition:
-    """Equal events that follow each other."""
-
-    text: str  # of the first one
-    begin: float  # time of the first one [s]
-    end: float  # time of the newest one [s]
-    count: int = 1
-
-
-class Repetitions:
-    """Reports the first of equal events, and their number when they have ended.
-
-    Parameters
-    ----------
-    pause : float
-        Time without an event that ends them [s].
-    """
-
-    def __init__(self, pause: float) -> None:
         self._pause = pause
-        self._running: dict[Hashable, Repetition] = {}
+        self._bursts: dict[Hashable, Burst] = {}
 
-    def admit(self, key: Hashable, now: float, text: str) -> bool:
-        """Count an event at a time [s]; returns whether it is the first one of its kind."""
-        running = self._running.get(key)
-        if running is None or now - running.end > self._pause:
-            self._running[key] = Repetition(text, now, now)
-            return True
-        running.count += 1
-        running.end = now
-        return False
+    def admit(self, key: Hashable, now: float, text: str = "") -> bool:
+        """Count an event at a time [s]; returns whether it may be logged."""
+        burst = self._bursts.get(key)
+        if burst is None or now - burst.end > self._pause:
+            burst = self._bursts[key] = Burst(text, now, now, self._burst)
+        burst.tokens = min(self._burst, burst.tokens + (now - burst.end) * self._rate)
+        burst.end = now
+        burst.count += 1
+        if burst.tokens < 1.0:
+            burst.suppressed += 1
+            return False
+        burst.tokens -= 1.0
+        return True
 
-    def ended(self, now: float) -> list[Repetition]:
-        """Remove and return the events that have ended before a time [s]."""
-        ended = [key for key, one in self._running.items() if now - one.end > self._pause]
-        return [self._running.pop(key) for key in ended]
+    def ended(self, now: float) -> list[Burst]:
+        """Remove the bursts that have ended before a time [s]; returns those with suppressed messages."""
+        ended = [key for key, one in self._bursts.items() if now - one.end > self._pause]
+        return [burst for burst in map(self._bursts.pop, ended) if burst.suppressed]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 from bridge_rig import Rig
+from lifecycle_msgs.srv import GetState
 from servo_bridge.callback_watch import HANG, CallbackWatch
 
 
@@ -100,6 +101,15 @@ def test_slow_callback_is_named_in_the_diagnostics(rig: Rig, monkeypatch: pytest
         values["longest callback since the start [ms]"]
     ) >= float(values["longest callback [ms]"])
     assert status.level == status.WARN
+
+
+@pytest.mark.realtime
+def test_services_that_rclpy_creates_are_measured(rig: Rig) -> None:
+    client = rig.user.create_client(GetState, "servo_bridge/get_state")
+    rig.until(client.service_is_ready)
+    future = client.call_async(GetState.Request())
+    rig.until(future.done)
+    assert "service /servo/servo_bridge/get_state" in rig.bridge.watch.longest()
 
 
 @pytest.mark.realtime

@@ -265,7 +265,7 @@ def test_effort_is_copied_to_points() -> None:
 
 
 # ---- limits and rejoining
-def fetched(stream: Stream, messages: list[tuple[float, float, float]], until: float) -> tuple[Array, Array]:
+def fetched(stream: Stream, messages: list[tuple[float, float, float | None]], until: float) -> tuple[Array, Array]:
     """Positions and velocities of the points of a stream; messages are time, position and velocity."""
     rows: list[Array] = []
     waiting = list(messages)
@@ -328,13 +328,15 @@ def test_the_tracker_returns_from_outside_of_its_limits_and_moves_no_further(tar
     assert tracker.position == pytest.approx(min(target, 4.3), abs=1e-6)
 
 
+@pytest.mark.parametrize("velocities", [True, False])
 @pytest.mark.parametrize("gap", [0.1, 0.25, 0.5])
-def test_a_stream_that_lost_time_is_rejoined_within_its_own_speed(gap: float) -> None:
+def test_a_stream_that_lost_time_is_rejoined_within_its_own_speed(gap: float, velocities: bool) -> None:
     """Points were refused: the joint stands, and a new stream begins with the messages after the gap."""
     speed, lost = 2.0, 2.0 * gap
     stream = Stream(Tracker(0.0, 0.0, 4000.0, 300.0), LEAD, 0)
     times = np.arange(0.0, 3.0, 0.01)
-    positions, velocities = fetched(stream, [(t, lost + speed * t, speed) for t in times.tolist()], 3.0)
-    assert np.abs(velocities).max() <= 1.5 * speed + 0.5 + 1e-9
-    assert np.abs(np.diff(velocities)).max() / 0.01 <= (1.5 * speed + 0.5) / 0.1 + 1e-6
+    given = speed if velocities else None
+    positions, speeds = fetched(stream, [(t, lost + speed * t, given) for t in times.tolist()], 3.0)
+    assert np.abs(speeds).max() <= 1.5 * speed + 0.5 + 1e-9
+    assert np.abs(np.diff(speeds)).max() / 0.01 <= (1.5 * speed + 0.5) / 0.1 + 1e-6
     assert positions[-1] == pytest.approx(lost + speed * 2.98, abs=0.021)

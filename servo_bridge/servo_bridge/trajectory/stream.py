@@ -119,8 +119,9 @@ class Stream:
         kept = math.exp(-elapsed / _MEMORY)
         self._fastest = max(abs(velocity), kept * self._fastest)
         if elapsed > PERIOD:
-            given = self._messages[k][2] is not None and self._messages[before][2] is not None
-            change = abs(velocity - self._velocity(before)) / elapsed if given else math.inf
+            # Velocities that are not given are slopes: the newest and the mean of the last two, half a period apart.
+            share = 0.5 if self._messages[k][2] is None else 1.0
+            change = abs(velocity - self._velocity(before)) / (share * elapsed)
             self._strongest = max(change, kept * self._strongest)
 
     def points(self, until: float) -> TimedPoints | None:
