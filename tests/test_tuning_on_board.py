@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import PERIOD_NS
 from servo_tuning.linear import spectral_radius
@@ -20,7 +19,6 @@ from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.rig import (
     COUNT,
     TICK,
-    AxisTrace,
     choose_mode,
     command_position,
     command_speed,
@@ -34,8 +32,6 @@ CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "s
 SEED: Final = 1
 BASE: Final = 100.0
 """Bias speed of the small signals [rad/s]: constant sign of the friction, frequent edges."""
-
-FREQUENCIES: Final = (10.0, 25.0, 50.0, 80.0, 110.0, 150.0)  # [Hz]
 
 
 @pytest.fixture(scope="module")
@@ -53,57 +49,6 @@ def shaft_with(axis: int, inertia: float) -> PlantConfig:
 def feedback_alone(board: Board, axis: int, observed: bool = False) -> None:
     """Disable all feed-forward."""
     features(board, axis, SPEED_OBSERVER=observed, FRICTION=False, SPEED_FORWARD=False, ACCELERATION_FORWARD=False)
-
-
-def multi_sine_response(plant: PlantConfig, axis: int, amplitude: float, observed: bool) -> AxisTrace:
-    """Speed control with a multi-sine on a constant speed."""
-    warm, measured = 0.3, 1.0
-    phases = [k * k * math.pi / len(FREQUENCIES) for k in range(len(FREQUENCIES))]  # phases with a low crest factor
-
-    def reference(k: int) -> float:
-        turns = zip(FREQUENCIES, phases, strict=True)
-        return BASE + amplitude * sum(math.sin(2.0 * math.pi * f * k * TICK + phase) for f, phase in turns)
-
-    with spinning(plant, SEED) as board:
-        set_axis(board, "param.acceleration_limit", axis, board.catalogue["param.acceleration_limit"].maximum)
-        feedback_alone(board, axis, observed)
-        choose_mode(board, axis, "SPEED")
-        command_speed(board, axis, BASE)
-        record(board, [axis], 0.3)
-        whole = record(board, [axis], warm + measured, lambda k: command_speed(board, axis, reference(k)))[axis]
-    part = whole.part(warm)
-    assert not part.limits.any(), "a small signal"
-    return part
-
-
-def transfer(time: NDArray[np.float64], output: NDArray[np.float64], input_: NDArray[np.float64]) -> NDArray[Any]:
-    """Transfer function at the frequencies."""
-    kernels = np.exp(-2j * np.pi * np.outer(FREQUENCIES, time))
-    return np.asarray((kernels @ output) / (kernels @ input_))
-
-
-# Tolerances of gain and phase [degrees]. The observer ignores errors below half a count, which is not linear; its loop
-# is compared at a larger amplitude with larger tolerances.
-@pytest.mark.parametrize(
-    ("axis", "inertia", "observed", "amplitude", "gain", "phase"),
-    [
-        (0, 1.0, False, 4.0, 0.04, 2.0),
-        (1, 1.0, False, 4.0, 0.04, 2.0),
-        (0, 2.0, False, 4.0, 0.04, 2.0),
-        (0, 0.6, False, 4.0, 0.04, 2.0),
-        (0, 1.0, True, 8.0, 0.2, 10.0),
-        (1, 1.0, True, 8.0, 0.2, 10.0),
-    ],
-)
-def test_closed_speed_loop_agrees_with_the_prediction(
-    axes: list[Tuned], axis: int, inertia: float, observed: bool, amplitude: float, gain: float, phase: float
-) -> None:
-    part = multi_sine_response(shaft_with(axis, inertia), axis, amplitude, observed)
-    measured = transfer(part.time, part.speed, part.speed_ref)
-    loop = axes[axis].shaft(inertia, observed).speed.channel(Out.MEASURED, In.SET_POINT)
-    ratio = measured / loop.response(2.0 * np.pi * np.array(FREQUENCIES))
-    assert np.abs(ratio) == pytest.approx(np.ones(len(FREQUENCIES)), abs=gain)
-    assert np.degrees(np.angle(ratio)) == pytest.approx(np.zeros(len(FREQUENCIES)), abs=phase)
 
 
 def critical_inertia(it: Tuned) -> float:

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, executable
-from servo_twin.up import Stack, main, parser
+from servo_twin.up import Stack, main
 
 from servo_twin import up as up_module
 
@@ -306,21 +306,3 @@ def test_signal_is_a_normal_end_except_in_the_demonstration(
     monkeypatch.setattr(up_module, "_run_demo", lambda *_: signal.raise_signal(number))
     assert main(["--out", str(tmp_path)]) == 0
     assert main(["--demo", "--out", str(tmp_path)]) == 128 + number
-
-
-def test_help_names_every_option() -> None:
-    text = parser().format_help()
-    for option in (
-        "--port",
-        "--baud",
-        "--seed",
-        "--no-web",
-        "--record",
-        "--domain-id",
-        "--set",
-        "--demo",
-        "--out",
-        "--twin-plant",
-        "--thresholds",
-    ):
-        assert option in text

@@ -281,7 +281,9 @@ def test_inconsistent_numbers_are_refused(beginning: str, reason: str, changes: 
     assert message.count("; ") >= 1, f"no remedy: {message}"
 
 
-@pytest.mark.parametrize("changes", [row[2] for row in TOGETHER if all(path.startswith("axis1") for path in row[2])])
+@pytest.mark.parametrize(
+    "changes", [row[2] for row in TOGETHER if all(path.startswith("axis1") for path in row[2])][::6]
+)
 def test_axis_2_is_checked_like_axis_1(changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=r"^axis2"):
         compute(**{path.replace("axis1", "axis2"): value for path, value in changes.items()})

@@ -111,16 +111,6 @@ def test_tool_runs_as_a_script_with_the_contract_alone() -> None:
 # ---- command line ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["generate", "--help"], ["report", "--help"]])
-def test_help_names_the_options_and_exits_with_0(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert end.value.code == 0
-    shown = capsys.readouterr().out
-    assert shown.startswith("usage: tune.py")
-    assert "servo.toml" in shown or arguments == ["--help"]
-
-
 @pytest.mark.parametrize("arguments", [["tune"], ["report", "--check"], ["--plot", "x.png"], ["generate", "more"]])
 def test_wrong_usage_exits_with_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:

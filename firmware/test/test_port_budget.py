@@ -7,7 +7,7 @@ from pathlib import Path
 
 import chip_budget
 import pytest
-from chip_budget import CALL_WORDS, INTERRUPT_WORDS, LIBRARY_WORDS, POINTERS, Budget, BudgetError, Program
+from chip_budget import INTERRUPT_WORDS, POINTERS, Budget, Program
 from firmware_compiler import FIRMWARE
 from port_board import PORT
 
@@ -109,48 +109,6 @@ class TestFirmware:
 
 
 class TestTool:
-    def test_stack_depth_is_that_of_the_deepest_call(self, alone: Path) -> None:
-        program = load(
-            alone,
-            "void leaf(volatile char *); void use(volatile char *);\n"
-            "__attribute__((noinline)) void flat(void) { volatile char a[40]; a[0] = 1; }\n"
-            "__attribute__((noinline)) int deep(void) { volatile char a[400]; use(a); return a[0]; }\n"
-            "int root(void) { flat(); return deep() + 1; }\n",
-        )
-        frames = {one.name: one.stack // 2 for one in program.functions.values()}
-        assert frames["deep"] >= 200
-        assert program.depth("root") == 2 * CALL_WORDS + frames["root"] + frames["deep"] + LIBRARY_WORDS
-
-    def test_recursion_is_an_error(self, alone: Path) -> None:
-        program = load(alone, "int use(int); int loop(int n) { return n ? use(n) + loop(n - 1) * use(n) : 0; }\n")
-        with pytest.raises(BudgetError, match="recursion: loop -> loop"):
-            program.depth("loop")
-
-    def test_a_pointer_that_is_not_in_the_table_is_an_error(self, alone: Path) -> None:
-        with pytest.raises(BudgetError, match=r"alone\.c:1:\d+: POINTERS does not contain surprise"):
-            load(alone, "void call(void (*surprise)(void)) { surprise(); surprise(); }\n")
-
-    def test_all_functions_of_a_pointer_in_the_table_are_considered(
-        self, alone: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(chip_budget, "POINTERS", {"hook": ("one", "two")})
-        program = load(
-            alone,
-            "void use(volatile char *);\n"
-            "void one(void) {}\n"
-            "void two(void) { volatile char a[600]; use(a); }\n"
-            "void call(void (**hook)(void)) { hook[1](); hook[0](); }\n",
-        )
-        assert program.functions["call"].calls == {"one", "two"}
-        assert program.depth("call") > 300
-
-    def test_a_name_in_the_table_without_a_function_is_an_error(
-        self, alone: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(chip_budget, "POINTERS", {"hook": ("one", "renamed")})
-        with pytest.raises(BudgetError, match="no function renamed"):
-            load(alone, "void one(void) {}\nvoid call(void (**hook)(void)) { hook[1](); hook[0](); }\n")
-
     def test_levels_come_from_the_sources(self, program: Program, budget: Budget) -> None:
         handlers = [handler for found in chip_budget.levels().values() for handler in found]
         assert sorted(handlers) == sorted(

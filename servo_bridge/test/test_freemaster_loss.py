@@ -90,32 +90,6 @@ def test_timeout_adapts_to_a_slower_target() -> None:
 
 
 @pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
-def test_damaged_frames_cause_no_wrong_read_or_write(kind: type[FakeTarget]) -> None:
-    """In each direction one byte of one frame of three is changed or lost."""
-    target, line, client = a_line(kind, seed=7)
-    line.damage = 0.33
-    expected = {k: {0x2B00 + k} for k in range(WORDS)}  # of successful and failed writes
-    errors = 0
-    for number in range(4000):
-        k = line.random.randrange(WORDS)
-        try:
-            if number % 2:
-                data = int.from_bytes(client.read_memory(BASE + 2 * k, 2), "little")
-                assert data in expected[k], f"word {k} is read as {data:04X}"
-            else:
-                value = line.random.randrange(1 << 16)
-                expected[k].add(value)
-                client.write_memory(BASE + 2 * k, value.to_bytes(2, "little"))
-                expected[k] = {value}
-        except FreemasterError:
-            errors += 1
-        for word, values in expected.items():
-            assert int.from_bytes(target.peek(BASE + 2 * word, 2), "little") in values
-    assert client.line.statistics.damaged > 500
-    assert errors < 1000
-
-
-@pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
 def test_discovery_over_a_bad_line_is_right_or_fails(kind: type[FakeTarget]) -> None:
     target, line, client = a_line(kind, seed=3)
     target.build()

@@ -8,7 +8,6 @@ import pytest
 from bridge_rig import SPIN, STOP, Rig
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from servo_bridge.parameters import ParameterError
 from servo_bridge.supervisor import Supervisor
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
@@ -262,14 +261,3 @@ def test_autostart_does_not_hide_an_exception(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(Supervisor, "activate", fails)
     with pytest.raises(ZeroDivisionError, match="of the test"):
         Rig()
-
-
-def test_refused_link_parameters_leave_no_resources(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuses(*_: object) -> None:
-        raise ParameterError("parameter telemetry: too much")
-
-    with Rig(autostart=False) as rig:
-        before = endpoints(rig)
-        monkeypatch.setattr(Supervisor, "_start_timers", refuses)
-        assert change(rig, "configure") == (False, UNCONFIGURED)
-        assert endpoints(rig) == before

@@ -70,10 +70,6 @@ class Converters:
         plant_c.lib.plant_init(self.plant, c_config(plant_c, plant))
         self.plant.axis[0].inverter.on = True
 
-    def set_phases(self, i_a: float, i_b: float) -> None:
-        motor = self.native.ffi.addressof(self.plant.axis[0].motor)
-        self.native.lib.plant_motor_set_phases(motor, i_a, i_b)
-
     def sample(self) -> Any:
         samples = self.native.ffi.new("plant_samples_t *")
         self.native.lib.plant_sample(self.plant, 0, self._phases, True, samples)
@@ -93,25 +89,6 @@ def test_current_codes_carry_offset_and_noise_of_their_phase(plant_c: Native) ->
         assert codes.mean(axis=0) == pytest.approx(2048 + np.array(offsets) / 8.25 * 2048, abs=0.5)
         assert codes.std(axis=0) == pytest.approx(0.02 / 8.25 * 2048, rel=0.1)
         assert abs(np.corrcoef(codes.T)[0, 1]) < 0.05
-
-
-def test_codes_do_not_depend_on_when_or_how_often_they_are_read(plant_c: Native) -> None:
-    """Reading a sample late, twice or never changes neither its codes nor those of another sample."""
-    both, one = (Converters(plant_c, ideal_plant(i_noise=0.05), 0, 1) for _ in range(2))
-    read = []
-    for n in range(20):
-        for converters in (both, one):
-            converters.set_phases(0.1 * n, -0.2 * n)
-        first, second = both.sample(), both.sample()
-        one.sample()
-        both.set_phases(5.0, 1.0)
-        late = both.read(first)
-        assert late == both.read(first)
-        maximum = 4.9 * 0.05  # of the noise [A]
-        assert (np.array(late) - 2048) * 8.25 / 2048 == pytest.approx([0.1 * n, -0.2 * n], abs=maximum)
-        assert both.read(second) == one.read(one.sample())
-        read.append(late)
-    assert len({tuple(codes) for codes in read}) > 15
 
 
 def test_bus_code_carries_its_noise(plant_c: Native) -> None:

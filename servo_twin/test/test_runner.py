@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import importlib
 import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -19,9 +17,7 @@ from typing import Any
 
 import pytest
 from servo_twin.board import SimulationError
-from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, RunError, Runner, TrialError, WorkerLostError, run_in_order
-from servo_twin.validation.experiments import fault_campaign
 
 NUMBERS = range(40)
 
@@ -220,22 +216,3 @@ def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servo_twin.runner.cluster.CONNECT_TIME", 0.5)
     with pytest.raises(RuntimeError, match=r"no Dask scheduler at tcp://127.0.0.1:1"):
         run_in_order(Runner(scheduler="tcp://127.0.0.1:1"), Square(), NUMBERS, "squares")
-
-
-@pytest.mark.parametrize("number", range(0, 10, 3))
-def test_a_trial_of_the_fault_campaign_is_the_same_in_another_process(number: int) -> None:
-    """Functions of a trial cannot be pickled, so the trial is drawn again in the other process."""
-    trial = fault_campaign.draw(PlantConfig.load().with_bus(u_source=23.0), 3, number, ["slow", "axis2"])
-    other = pickle.loads(pickle.dumps(trial))
-    for it in ("seed", "number", "motor", "plant", "motors"):
-        assert getattr(other, it) == getattr(trial, it), it
-    assert (other.state.name, other.fault.text) == (trial.state.name, trial.fault.text)
-    changes: tuple[dict[str, Any], ...] = (
-        {"nominal": None},
-        {"plant": PlantConfig.load()},
-        {"state": dataclasses.replace(trial.state, name="as said")},
-        {"fault": dataclasses.replace(trial.fault, text="as said")},
-    )
-    for change in changes:
-        with pytest.raises(TypeError, match="only trials created by draw"):
-            pickle.dumps(dataclasses.replace(trial, **change))

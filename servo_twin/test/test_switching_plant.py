@@ -491,15 +491,6 @@ class TestEncoder:
         assert none == 0
         assert some > {3: -1, 12: 300, 100: 600}[allowed]
 
-    def test_same_seed_same_edges(self, switching_c: Native) -> None:
-        runs = []
-        for seed in (3, 3, 4):
-            switching = Switching(switching_c, PlantConfig.load(), seed)
-            switching.spin(0, 100.0)
-            switching.advance(200_000)
-            runs.append([event for event in switching.events if event[2] == 0][5:])
-        assert runs[0] == runs[1] != runs[2]
-
 
 class TestEndStops:
     @pytest.mark.parametrize("omega", [150.0, -150.0])
@@ -545,32 +536,6 @@ class TestEndStops:
 
 
 class TestOther:
-    def test_reading_does_not_change_the_run(self, switching_c: Native) -> None:
-        results = []
-        for looks in (0, 7):
-            switching = Switching(switching_c, PlantConfig.load().with_axis(0, theta_start=1.0))
-            edges = cycles([0, 1], (0.6, 0.5, 0.4), 0, 4)
-            for edge in edges:
-                switching.run([edge], edge[0])
-                for n in range(looks):
-                    switching.truth(n % 2)
-                    _ = switching.bus
-            truth = switching.truth(0)
-            results.append((truth.theta, truth.omega, list(truth.phase), switching.bus.u_dc))
-        assert results[0] == results[1]
-
-    def test_events_do_not_depend_on_the_steps(self, switching_c: Native) -> None:
-        """Advancing beyond an event or exactly to it gives the same edges."""
-        stepwise = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
-        at_once = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
-        for switching in (stepwise, at_once):
-            switching.spin(0, 300.0)
-        while stepwise.clock < 50_000:
-            stepwise.advance(int(stepwise.lib.switching_next(stepwise.c)))
-        at_once.advance(stepwise.clock)
-        assert stepwise.events == at_once.events
-        assert len(at_once.events) > 50
-
     def test_losses_warm_winding_and_power_stage(self, switching_c: Native) -> None:
         plant = ideal_plant(theta_start=0.0, winding_capacity=0.01, winding_resistance=10.0, v_drop=0.7)
         switching = Switching(switching_c, plant)
