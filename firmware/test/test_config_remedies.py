@@ -10,15 +10,16 @@ from typing import Any, Final
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from servo_msgs_py.quantity import Quantity
 from servo_tuning.acceptance import refusal_of
 from servo_tuning.errors import RAISE, Remedy, lower, refused, value_in, with_value
-from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
+from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
 from tuning_tool import table
 
 STEPS_MAX: Final = 12
 
 
-def entries() -> Iterator[tuple[str, Entry]]:
+def entries() -> Iterator[tuple[str, Quantity]]:
     """Every number of the board and of axis 1 that the committed file has."""
     for key, entry in BOARD.items():
         yield f"board.{key}", entry

@@ -17,7 +17,7 @@ FINITE: Final = sys.float_info.max
 """Limit of a range that has none."""
 
 ABOVE_0: Final = 1e-12
-"""Minimum of a range above 0; its negative is the maximum of a range below 0."""
+"""Minimum of a range above 0."""
 
 VALUE_MAX: Final = 1e12
 """Largest magnitude of an entry of a file; its products and squares are finite."""
@@ -73,11 +73,11 @@ class Quantity:
     def expected(self) -> str:
         """Valid values, unit and description as text."""
         limits = " of either sign" if self.minimum < 0.0 < self.maximum else ""
-        if 0.0 < self.minimum <= ABOVE_0 or -ABOVE_0 <= self.maximum < 0.0:
-            limits = " above 0" if self.minimum > 0.0 else " below 0"
+        if 0.0 < self.minimum <= ABOVE_0:
+            limits = " above 0"
         elif abs(self.minimum) < VALUE_MAX:
             limits = f" from {self.minimum:g}"
-        if -ABOVE_0 < self.maximum < VALUE_MAX:
+        if self.maximum < VALUE_MAX:
             limits += f" up to {self.maximum:g}"
         unit = f" [{self.unit}]" if self.unit else ""
         return f"a {'whole ' if self.whole else ''}number{limits}{unit}" + (f": {self.text}" if self.text else "")

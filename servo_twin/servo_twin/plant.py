@@ -6,13 +6,14 @@ import dataclasses
 import difflib
 import math
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar, cast, get_type_hints
+from typing import Annotated, Any, Final, Literal, TypeVar, cast, get_type_hints
 
 from servo_msgs_py.catalogue import AXIS_NAMES
+from servo_msgs_py.quantity import ABOVE_0, Quantity
 from servo_msgs_py.text_file import TextFileError, read_toml
 
 STOP_STIFFNESS_MAX: Final = 0.06
@@ -32,27 +33,20 @@ class PlantError(ValueError):
     """Invalid plant data; the message contains the value and the valid range."""
 
 
-class _Rule(NamedTuple):
-    """Valid range of a number of the plant."""
-
-    text: str
-    holds: Callable[[float], bool]
-
-
 _T = TypeVar("_T")
-_FINITE: Final = _Rule("a finite number", math.isfinite)
+_FINITE: Final = Quantity()
 _FIXED: Final = "fixed"
 
-Positive = Annotated[float, _Rule("above 0", lambda x: 0.0 < x < math.inf)]
-NotNegative = Annotated[float, _Rule("0 or more", lambda x: 0.0 <= x < math.inf)]
-Whole = Annotated[float, _Rule("a whole number from 1", lambda x: 1.0 <= x < math.inf and x == int(x))]
+Positive = Annotated[float, Quantity(minimum=ABOVE_0)]
+NotNegative = Annotated[float, Quantity(minimum=0.0)]
+Whole = Annotated[float, Quantity(minimum=1.0, whole=True)]
 Finite = Annotated[float, _FINITE]
-Angle = Annotated[float, _Rule("an angle, finite or infinite", lambda x: not math.isnan(x))]
-Switch = Annotated[float, _Rule("0 or 1", lambda x: x in (0.0, 1.0))]
-MagnetChange = Annotated[float, _Rule("between -0.01 and 0.01", lambda x: -0.01 < x < 0.01)]
-Eccentricity = Annotated[float, _Rule("0 or more and below 0.2", lambda x: 0.0 <= x < 0.2)]
-DutyError = Annotated[float, _Rule("between -0.2 and 0.2", lambda x: -0.2 < x < 0.2)]
-Hysteresis = Annotated[float, _Rule("between 0 and 0.5", lambda x: 0.0 <= x < 0.5)]
+Angle = Annotated[float, Quantity(minimum=-math.inf, maximum=math.inf)]
+Switch = Annotated[float, Quantity(minimum=0.0, maximum=1.0, whole=True)]
+MagnetChange = Annotated[float, Quantity(minimum=-0.01, maximum=0.01)]
+Eccentricity = Annotated[float, Quantity(minimum=0.0, maximum=0.2)]
+DutyError = Annotated[float, Quantity(minimum=-0.2, maximum=0.2)]
+Hysteresis = Annotated[float, Quantity(minimum=0.0, maximum=math.nextafter(0.5, 0.0))]
 
 Fixed = Annotated[_T, _FIXED]
 """Marks a value that cannot be changed while a board runs; all other numbers of a plant can."""
@@ -60,23 +54,21 @@ Fixed = Annotated[_T, _FIXED]
 
 @cache
 def _marks(part: type) -> Sequence[tuple[str, object]]:
-    """Names of the fields with their rules and other marks, in the order of the fields."""
+    """Names of the fields with their ranges and other marks, in the order of the fields."""
     hints = get_type_hints(part, include_extras=True).items()
     return [(name, mark) for name, hint in hints for mark in getattr(hint, "__metadata__", ())]
 
 
-def _check(where: str, value: object, rule: _Rule) -> None:
-    """Raise a `PlantError` unless `value` is a number that satisfies the rule."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise PlantError(f"{where}: {value!r} is not a number")
-    if not rule.holds(value):
-        raise PlantError(f"{where}: {value!r} is not {rule.text}")
+def _check(where: str, value: object, valid: Quantity) -> None:
+    """Raise a `PlantError` unless `value` is valid."""
+    if problem := valid.problem(value):
+        raise PlantError(f"{where}: {value!r} is {problem}; write {valid.expected}")
 
 
 def _check_fields(part: Any) -> None:
-    """Check all fields with a rule."""
+    """Check all fields with a range."""
     for name, mark in _marks(part.__class__):
-        if isinstance(mark, _Rule):
+        if isinstance(mark, Quantity):
             _check(name, getattr(part, name), mark)
 
 

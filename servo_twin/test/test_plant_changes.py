@@ -120,7 +120,7 @@ def test_noise_fault_is_kept_after_a_change_and_removed_to_the_present_value(lev
     [
         ("axis1.r_q", 1.0, "axis1.r_q: no such number of the plant; similar names: r_s"),
         ("axis3.r_s", 1.0, "axis3.r_s: no such number"),
-        ("axis1.r_s", 0.0, "axis1.r_s: r_s: 0.0 is not above 0"),
+        ("axis1.r_s", 0.0, "axis1.r_s: r_s: 0.0 is too small"),
         ("axis1.i_offset", 0.0, "axis1.i_offset: no such number"),
         ("axis1.pins", 0.0, "axis1.pins: no such number"),
         ("axis1.pole_pairs", 3.0, "axis1.pole_pairs: cannot be changed on a running board"),
@@ -211,7 +211,7 @@ def test_invalid_wear_is_refused() -> None:
             (WornShaft(0, 0.01), "axis 0 has no second mass"),
             (WeakMagnet(0, 1.5), "part 1.5 is not within 0 .. 1"),
             (BadContact(0, -0.1), "resistance -0.1 is not"),
-            (ShiftedDisc(0, 0.5), "disc_eccentricity: 0.5 is not"),
+            (ShiftedDisc(0, 0.5), "disc_eccentricity: 0.5 is too large"),
             (DryBearing(2, 1.0), "axis 2: a board has the axes 0 .. 1"),
         ):
             with pytest.raises((ValueError, IndexError), match=text):

@@ -45,10 +45,10 @@ def test_changed_copies_do_not_affect_the_original() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[axis1]\nr_s = 0.0", r"axis1\.r_s: 0\.0 is not above 0"),
-        ("[axis2]\nfriction = -1e-3", r"axis2\.friction: -0\.001 is not 0 or more"),
+        ("[axis1]\nr_s = 0.0", r"axis1\.r_s: 0\.0 is too small; write a number above 0"),
+        ("[axis2]\nfriction = -1e-3", r"axis2\.friction: -0\.001 is too small; write a number from 0"),
         ("[axis1]\npole_pairs = 2.5", r"axis1\.pole_pairs: 2\.5 is not a whole number"),
-        ("[axis1]\ninertia = nan", r"axis1\.inertia: nan is not above 0"),
+        ("[axis1]\ninertia = nan", r"axis1\.inertia: nan is not a finite number"),
         ("[axis1]\ntheta_start = inf", r"axis1\.theta_start: inf is not a finite number"),
         ("[axis1]\nl_d = true", r"axis1\.l_d: True is not a number"),
         ("[axis1]\nl_d = '1 mH'", r"axis1\.l_d: '1 mH' is not a number"),
@@ -56,7 +56,7 @@ def test_changed_copies_do_not_affect_the_original() -> None:
         ("[axis1]\nresistance = 1.0", r"unknown name 'resistance'; known names: r_s, "),
         ("[axis3]\nr_s = 1.0", r"unknown name 'axis3'"),
         ("axis1 = 5", r"axis1 is not a table"),
-        ("[bus]\ncapacitance = 0", r"bus\.capacitance: 0 is not above 0"),
+        ("[bus]\ncapacitance = 0", r"bus\.capacitance: 0 is too small"),
         ("pwm_frequency = 15999.0", r"pwm_frequency: 15999\.0 Hz does not divide"),
         ("[axis1\n", r"bad\.toml: "),
     ],

@@ -380,7 +380,7 @@ def test_an_invalid_plant_file_is_reported(tmp_path: Path, capsys: pytest.Captur
     file = tmp_path / "plant.toml"
     file.write_text("[axis1]\nr_s = -1\n")
     assert main(["--plant", str(file)]) == 2
-    assert "axis1.r_s: -1 is not above 0" in capsys.readouterr().err
+    assert "axis1.r_s: -1 is too small" in capsys.readouterr().err
 
 
 def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
