@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -40,13 +41,25 @@ def board(baud: int) -> Iterator[Board]:
         yield board
 
 
-@pytest.fixture
-def line(board: Board) -> SimulatedLine:
-    return SimulatedLine(board)
+class InterruptedLine(SimulatedLine):
+    """Line that raises SIGHUP when axis 1 exceeds a speed [rad/s]."""
+
+    interrupt_above: float | None = None
+
+    def advance(self, until_ns: int) -> None:
+        super().advance(until_ns)
+        if self.interrupt_above is not None and abs(self.log.omega[-1][0]) > self.interrupt_above:
+            self.interrupt_above = None
+            signal.raise_signal(signal.SIGHUP)
 
 
 @pytest.fixture
-def bode(line: SimulatedLine, baud: int) -> Tool:
+def line(board: Board) -> InterruptedLine:
+    return InterruptedLine(board)
+
+
+@pytest.fixture
+def bode(line: InterruptedLine, baud: int) -> Tool:
     session = connect(Client(Line(line, baud=baud, clock=line.clock)), Catalogue.load())
 
     def run(*arguments: object) -> int:
@@ -98,6 +111,22 @@ def test_a_loop_is_measured_and_written(
     assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) in ("READY", "FREEWHEEL")
 
 
+def test_interruption_stops_the_shaft_and_restores_the_board(
+    bode: Tool, board: Board, line: InterruptedLine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.write("cmd.enable", [1, 0])
+    board.run(4.0)
+    line.interrupt_above = 25.0
+    with pytest.raises(KeyboardInterrupt):
+        bode("axis1", "position")
+    assert "Ctrl-C stops it" in capsys.readouterr().err
+    assert abs(board.truth(0).omega_m) < 1.0
+    assert max(abs(row[0]) for row in line.log.omega) > 20.0
+    assert board.read("axis1.test_point") == 0
+    assert board.read("param.command_timeout") == 0.5
+    assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) == "SPIN"
+
+
 def test_missing_answer_gives_exit_status_1_and_the_reason(
     bode: Tool, board: Board, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,7 +146,7 @@ def test_missing_answer_gives_exit_status_1_and_the_reason(
 @pytest.mark.parametrize("baud", [115_200, 38_400])
 @pytest.mark.parametrize("loop", ["speed", "position"])
 def test_shaft_stays_within_its_range_on_a_slow_line(
-    bode: Tool, board: Board, line: SimulatedLine, loop: str, capsys: pytest.CaptureFixture[str]
+    bode: Tool, board: Board, line: InterruptedLine, loop: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board.write("cmd.enable", [1, 0])
     board.run(4.0)

@@ -34,7 +34,7 @@ def rows_with_tests(path: Path) -> list[str]:
 
 
 def test_every_row_has_a_test_and_every_test_a_row() -> None:
-    rows = table_rows(TABLE.read_text())
+    rows = table_rows(TABLE.read_text().partition("## How a program ends")[0])  # its table: test_program_ends.py
     assert rows, "no table found"
     assert len(rows) == len(set(rows)), "a row occurs twice"
     tested = {row for path in TESTS for row in rows_with_tests(path)}

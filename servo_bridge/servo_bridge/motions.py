@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import Final
 
 from sensor_msgs.msg import JointState
-from servo_msgs_py.answers import Phase
+from servo_msgs_py.answers import LEASE_TIMEOUT, Phase
 from servo_msgs_py.convert import applied_from_message, from_stamp
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.runtime.program import complain
@@ -162,13 +162,24 @@ class Motions:
 
     # ---- details
     def _renew(self, message: JointState, ticket: str, duration: float) -> None:
-        """Repeat set-points for a time [s]."""
-        end = time.monotonic() + duration
+        """Repeat set-points for a time [s].
+
+        Raises
+        ------
+        CommandError
+            If they are refused, or this program was suspended: its joints have stopped, and do not start again.
+        """
+        renewed = time.monotonic()
+        end = renewed + duration
         while time.monotonic() < end:
             pause = min(time.monotonic() + _REPEAT, end)
             while time.monotonic() < pause:
                 self._step()
             self._commander.require_armed()
+            silent, renewed = time.monotonic() - renewed, time.monotonic()
+            if silent > LEASE_TIMEOUT:
+                self.stop(message.name)  # the board may have no time-out
+                raise CommandError(f"the joints have stopped: this program was suspended for {silent:.1f} s")
             self._commands.repeat(message)
             self._commands.answer(ticket)
 

@@ -20,7 +20,7 @@ from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.entities import Entities
 from servo_bridge.parameters import PARAMETERS, ParameterError, declare, settings_from, values_of, watch
 from servo_bridge.supervisor import Supervisor
-from servo_bridge.unlocked_publisher import unlocked
+from servo_bridge.unlocked_publisher import Sender
 from servo_bridge.wire.link import Link
 
 MESSAGE_BYTES_MAX: Final = 4096
@@ -58,6 +58,7 @@ class ServoBridge(LifecycleNode):
         **node_arguments: Any,
     ) -> None:
         self.watch = CallbackWatch()  # of the executor; used by the entities that the base class creates
+        self._sender = Sender(lambda text: self.get_logger().error(text))
         super().__init__("servo_bridge", namespace="servo", **node_arguments)
         self.failure = ""  # reason of a fatal error; the loss of the board is not fatal
         self.finished = False  # whether a transition has shut it down
@@ -81,7 +82,7 @@ class ServoBridge(LifecycleNode):
     # ---- entities, whose callbacks are measured
     def create_publisher(self, *arguments: Any, **options: Any) -> Any:
         """As `Node.create_publisher`."""
-        return unlocked(super().create_publisher(*arguments, **options))
+        return self._sender.unlocked(super().create_publisher(*arguments, **options))
 
     def create_subscription(
         self,
@@ -131,6 +132,7 @@ class ServoBridge(LifecycleNode):
 
     def destroy_node(self) -> None:
         """Destroy the node and the lifecycle state machine, which would keep the node in the ROS graph."""
+        self._sender.close()
         super().destroy_node()
         self._state_machine.destroy_when_not_in_use()
 
@@ -198,6 +200,7 @@ class ServoBridge(LifecycleNode):
             if supervisor is not None:
                 supervisor.close(reason)
         finally:
+            self._sender.flush()
             self._entities.destroy()
 
     def _carry_out(self, work: Callable[[], None]) -> TransitionCallbackReturn:

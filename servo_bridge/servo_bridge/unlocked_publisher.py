@@ -1,20 +1,26 @@
-"""Publishing without the lock of the Python interpreter.
+"""Publishing without the lock of the Python interpreter, and not in the thread of the executor.
 
-While a client joins or leaves the ROS graph, a write of the middleware can wait for a lock of its discovery for 0.3 s.
-rclpy keeps the lock of the interpreter during a publication, so that the thread of the link could not run either, and
-the board received nothing. Here the message is converted with the lock, and written without it.
+While a client joins or leaves the ROS graph, a write of the middleware can wait for a lock of its discovery for 0.3 s,
+and for 1.6 s after a client was killed. rclpy keeps the lock of the interpreter during a publication, so that the
+thread of the link could not run either, and the board received nothing. Here the message is converted at once, and
+written by a thread without the lock.
 """
 
 from __future__ import annotations
 
 import ctypes
-from functools import cache
+import threading
+from collections.abc import Callable
+from functools import cache, partial
+from queue import SimpleQueue
 from typing import Any, Final
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.serialization import serialize_message
 
 _LIBRARY: Final = "librcl.so"
+_WAITING_MAX: Final = 20_000
+"""Largest number of waiting messages, several seconds of telemetry; later ones are lost."""
 
 
 class _Bytes(ctypes.Structure):
@@ -40,22 +46,56 @@ def _publish_function() -> Any:
     return function
 
 
-def unlocked(publisher: Any) -> Any:
-    """Make a publisher of rclpy publish without the lock of the interpreter, if possible; returns the publisher."""
-    function = _publish_function()
-    if function is None:
+class Sender:
+    """Sends the messages of publishers of rclpy in order, in a thread of its own.
+
+    Parameters
+    ----------
+    report : callable
+        Receives errors, in that thread.
+    """
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report = report
+        self._waiting: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="publications", daemon=True)
+        self._thread.start()
+
+    def unlocked(self, publisher: Any) -> Any:
+        """Make a publisher publish in the thread, without the lock of the interpreter; returns the publisher."""
+        function = _publish_function()
+        if function is None:
+            return publisher
+        handle = publisher.handle
+
+        def send(data: bytes) -> None:
+            try:
+                with handle:  # not destroyed meanwhile
+                    code = function(handle.pointer, ctypes.byref(_Bytes(data, len(data), len(data))), None)
+            except InvalidHandle:
+                return  # destroyed during the end of the node
+            if code:
+                self._report(f"{publisher.topic_name}: rcl refuses the message with code {code}")
+
+        def publish(message: Any) -> None:
+            data = message if isinstance(message, bytes) else serialize_message(message)
+            if self._waiting.qsize() < _WAITING_MAX:
+                self._waiting.put(partial(send, data))
+
+        publisher.publish = publish
         return publisher
-    handle = publisher.handle
 
-    def publish(message: Any) -> None:
-        data = message if isinstance(message, bytes) else serialize_message(message)
-        try:
-            with handle:  # not destroyed meanwhile
-                code = function(handle.pointer, ctypes.byref(_Bytes(data, len(data), len(data))), None)
-        except InvalidHandle:
-            return  # destroyed during the end of the node
-        if code:
-            raise RuntimeError(f"{publisher.topic_name}: rcl refuses the message with code {code}")
+    def flush(self, timeout: float = 1.0) -> None:
+        """Wait until all messages have been sent, at most for the timeout [s]."""
+        sent = threading.Event()
+        self._waiting.put(sent.set)
+        sent.wait(timeout)
 
-    publisher.publish = publish
-    return publisher
+    def close(self) -> None:
+        """Send what waits and end the thread, unless the middleware blocks it."""
+        self._waiting.put(None)
+        self._thread.join(1.0)
+
+    def _run(self) -> None:
+        while (send := self._waiting.get()) is not None:
+            send()

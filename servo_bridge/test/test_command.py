@@ -237,16 +237,15 @@ def test_set_point_that_ends_early_is_an_error(
     assert "FAULT" in err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ("velocity", "axis1=5", "--for", "30"),
-        ("effort", "axis1=0.01", "--for", "30"),
-        ("position", "axis1=30"),
-        ("move", "axis1=1", "--time", "4"),
-        ("sine", "axis1", "--amplitude", "1", "--frequency", "1"),
-        ("home", "axis1", "--method", "stop-positive"),
+    ("arguments", "number"),
+    [  # which signal it is makes no difference: test_program.py
+        (("velocity", "axis1=5", "--for", "30"), signal.SIGINT),
+        (("effort", "axis1=0.01", "--for", "30"), signal.SIGTERM),
+        (("position", "axis1=30"), signal.SIGHUP),
+        (("move", "axis1=1", "--time", "4"), signal.SIGTERM),
+        (("sine", "axis1", "--amplitude", "1", "--frequency", "1"), signal.SIGHUP),
+        (("home", "axis1", "--method", "stop-positive"), signal.SIGINT),
     ],
 )
 def test_signal_stops_the_joints(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
+import signal
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -106,6 +108,43 @@ def test_a_recording_without_its_trigger_is_written_after_the_timeout(
     assert run("record", "axis1.i_q", *options, "-o", str(file)) == 0
     assert "stopped before the trigger" in capsys.readouterr().out
     assert len(rows_of(file)[1]) == 50
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signal_ends_a_burst_and_keeps_its_points(
+    servo: FakeServo, run: Run, tmp_path: Path, number: signal.Signals
+) -> None:
+    """The recorder has no trigger; the signal comes while it runs."""
+    signals = iter([number])
+    tick = servo.on_tick
+    assert tick is not None
+
+    def signal_after_ticks(count: int) -> None:
+        tick(count)
+        if count > 10 * TICKS:
+            for each in signals:
+                os.kill(os.getpid(), each)
+
+    servo.on_tick = signal_after_ticks
+    file = tmp_path / "x.csv"
+    assert run("record", "axis1.i_q", "--trigger", "axis1.i_q > 3", "--points", "50", "-o", str(file)) == 0
+    assert len(rows_of(file)[1]) == 50
+
+
+def test_lost_line_ends_a_burst_with_the_reason(
+    servo: FakeServo, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    feed = servo.feed
+
+    def fed(data: bytes) -> bytes:
+        answer = feed(data)
+        return b"" if any(recorder.state == 2 for recorder in servo.recorders) else answer
+
+    servo.feed = fed  # type: ignore[method-assign]
+    file = tmp_path / "x.csv"
+    assert run("record", "axis1.i_q", "--trigger", "axis1.i_q > 3", "-o", str(file)) == 1
+    assert "has stopped responding" in capsys.readouterr().err
+    assert not file.exists()
 
 
 def test_a_recording_is_written_for_rerun(servo: FakeServo, run: Run, tmp_path: Path) -> None:
