@@ -20,7 +20,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.robot_description import NO_LIMIT
 from servo_msgs_py.runtime.node_shell import full_name
-from servo_msgs_py.runtime.parameters import ParameterError, Spec
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, spec
 from servo_msgs_py.runtime.parameters import declare as declare_all
 
 from servo_bridge.bursts.request import BurstRequest
@@ -51,26 +51,26 @@ _TEXT_MAX: Final = 4096
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _AT_START: Mapping[str, Spec] = {
-    "autostart": Spec(
+    "autostart": spec(
         True, "whether the node configures and activates itself, read once at the start; no axis is enabled by it"
     ),
 }
 
 _SETTINGS: Mapping[str, Spec] = {
-    "port": Spec(
+    "port": spec(
         "/dev/ttyUSB0", "serial port of the board: a device path or any pyserial URL such as socket://host:port"
     ),
-    "baud": Spec(115200, "line speed of the serial port [bit/s]", 1200, 4_000_000),
-    "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
-    "gear_ratio": Spec([1.0, 1.0], "turns of the motor per turn of the joint, per joint, 0.0001 .. 100000"),
-    "direction": Spec([1, 1], "1, or -1 if joint and motor turn in opposite directions, per joint"),
-    "offset": Spec([0.0, 0.0], "position of the joint at motor position 0, per joint [rad]"),
-    "wraps": Spec(
+    "baud": spec(115200, "line speed of the serial port [bit/s]", 1200, 4_000_000),
+    "joints": spec(["axis1", "axis2"], "joint names in the order of the axes"),
+    "gear_ratio": spec([1.0, 1.0], "turns of the motor per turn of the joint, per joint, 0.0001 .. 100000"),
+    "direction": spec([1, 1], "1, or -1 if joint and motor turn in opposite directions, per joint"),
+    "offset": spec([0.0, 0.0], "position of the joint at motor position 0, per joint [rad]"),
+    "wraps": spec(
         [False, False],
         "true: positions of the joint are angles in -pi .. pi, as of a joint that is continuous in URDF; set-points "
         "take the shorter way. False: the joint counts its turns. Per joint",
     ),
-    "telemetry": Spec(
+    "telemetry": spec(
         [
             "u_dc",
             *(
@@ -83,105 +83,105 @@ _SETTINGS: Mapping[str, Spec] = {
         "(tick, applied_tick, applied_count; of each axis position, speed, i_q, state, substate, faults); each "
         "additional byte reduces the sample rate; [''] for none",
     ),
-    "telemetry_rate": Spec(
+    "telemetry_rate": spec(
         0.0,
         "highest rate of samples [Hz]; 0.0: as fast as the line permits. A lower rate reduces the load of the computer "
         "and leaves more of the line for set-points",
         0.0,
         10_000.0,
     ),
-    "variables": Spec(
+    "variables": spec(
         ["u_dc", "axis1.i_q", "axis2.i_q"],
         "variables published one by one as var/<name>; those that are not in the telemetry are read one at a time, "
         "which reduces the sample rate; [''] for none",
     ),
-    "variable_rate": Spec(20.0, "rate of the var/ topics [Hz]", 0.1, 200.0),
-    "joint_states_rate": Spec(0.0, "highest rate of joint_states [Hz]; 0 publishes every sample", 0.0, 10_000.0),
-    "snapshot_period": Spec(
+    "variable_rate": spec(20.0, "rate of the var/ topics [Hz]", 0.1, 200.0),
+    "joint_states_rate": spec(0.0, "highest rate of joint_states [Hz]; 0 publishes every sample", 0.0, 10_000.0),
+    "snapshot_period": spec(
         0.02, "shortest time between two snapshot messages, which carry all samples since the last one [s]", 0.0, 1.0
     ),
-    "position_min": Spec(
+    "position_min": spec(
         [-NO_LIMIT, -NO_LIMIT],
         "lowest position set-point per joint [rad]; -1.0e+15: no limit. Single steps are limited to 2^30 counts of the "
         "motor (1686630 rad of its shaft)",
         read_only=False,
     ),
-    "position_max": Spec(
+    "position_max": spec(
         [NO_LIMIT, NO_LIMIT], "highest position set-point per joint [rad]; 1.0e+15: no limit", read_only=False
     ),
-    "velocity_max": Spec(
+    "velocity_max": spec(
         [419.0, 419.0], "largest velocity set-point per joint [rad/s], within the limit of the board", read_only=False
     ),
-    "effort_max": Spec(
+    "effort_max": spec(
         [1.0, 1.0],
         "largest effort set-point per joint [N m], within the limit of the board: current limit times torque constant "
         "times gear ratio",
         read_only=False,
     ),
-    "command_interfaces": Spec(
+    "command_interfaces": spec(
         ["", ""],
         "arrays of joint_commands that contain each joint, such as 'position velocity' or 'effort'; needed if the "
         "sender omits joints in an array, as ros2_control does with joints of different command interfaces; "
         "empty: all",
     ),
-    "stream_delay_max": Spec(
+    "stream_delay_max": spec(
         0.0,
         "longest delay for the compensation of jitter and loss of streamed set-points [s]; 0.0: one period of them",
         0.0,
         1.0,
     ),
-    "path_tolerance": Spec(
+    "path_tolerance": spec(
         [0.0, 0.0],
         "default for goals of follow_joint_trajectory: largest distance of a joint from its path [rad]; 0.0: any",
     ),
-    "goal_tolerance": Spec(
+    "goal_tolerance": spec(
         [0.02, 0.02],
         "default for goals of follow_joint_trajectory: largest distance of a joint from the end of its path [rad]; "
         "0.0: any",
     ),
-    "stopped_velocity_tolerance": Spec(
+    "stopped_velocity_tolerance": spec(
         0.0,
         "for goals of follow_joint_trajectory: largest speed of a joint at the end of its path [rad/s]; 0.0: any",
         0.0,
         1000.0,
     ),
-    "goal_time": Spec(
+    "goal_time": spec(
         1.0,
         "default for goals of follow_joint_trajectory: time after the end of the path in which the joints must be "
         "within their tolerances [s]; 0.0: no waiting",
         0.0,
         3600.0,
     ),
-    "recording": Spec(
+    "recording": spec(
         "axis1.i_q axis1.i_q_ref axis2.i_q axis2.i_q_ref",
         "variables and options of the recordings of the service record, as for servo-tool record, such as "
         "\"axis1.i_a axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --rate 16000\"",
         read_only=False,
     ),
-    "tuning": Spec(
+    "tuning": spec(
         "",
         "path of a TOML file in the form of servo.toml, on the computer of the bridge: the configuration of the axes "
         "that the service tune sends to the board",
         read_only=False,
     ),
-    "home_positions": Spec(
+    "home_positions": spec(
         [0.0, 0.0],
         "position of each joint at its homing stop or switch, or at which its position is set [rad] (doc/homing.md)",
         read_only=False,
     ),
-    "restore_positions": Spec(
+    "restore_positions": spec(
         True,
         "whether the positions of a restarted board are restored (home_state ASSUMED), for axes with the feature "
         "HOMING that are at rest",
         read_only=False,
     ),
-    "preferred_source": Spec(
+    "preferred_source": spec(
         "",
         "topic with precedence, such as joint_commands: while it commands an axis, and for 1 s after that, set-points "
         "of other topics for this axis are refused; empty: the newest set-point applies",
         read_only=False,
     ),
-    "board_parameters": Spec(
+    "board_parameters": spec(
         [""],
         "parameters set on the board at every connection and whenever this list changes, each as NAME=VALUE such as "
         "param.features[0]=ANTI_WINDUP+POSITION_LIMITS or param.i_q_limit=1.0,1.5; [''] for none. A parameter removed "

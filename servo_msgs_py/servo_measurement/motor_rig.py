@@ -195,7 +195,7 @@ class MotorRig(AxisUnderTest):
         scales = Scales.of(self.access.catalogue)
         to = scales.i / scales.u_s
         raw = {"kp": round(math.ldexp(kp * to, 24)), "ki": max(round(math.ldexp(ki * PERIOD * to, 24)), 1)}
-        maximum = GAIN.high // 4
+        maximum = GAIN.raw_range[1] // 4
         gains = {f"current_loop.{axis}.{gain}": min(value, maximum) for axis in "dq" for gain, value in raw.items()}
         self._send(configured(self._base, self.axis, self.limits, NOMINAL), gains)
         if not live:

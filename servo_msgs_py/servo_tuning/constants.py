@@ -10,24 +10,24 @@ from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration
 from servo_tuning.conversion import TICKS, AxisConstants, Converter, Field, Switches, pi_raw
 from servo_tuning.errors import either, lower
 from servo_tuning.field_weakening import field_weakening_constants
-from servo_tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
+from servo_tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, fixed_point
 from servo_tuning.gains import Gains
 from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.winding import winding_constants
 
-ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
-COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
-PATH_OMEGA: Final = Format("omega_n Ts of DRM E40", 16, 1, 2**14)
+ANGLE32: Final = fixed_point("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
+COUNTS: Final = fixed_point("int32_t counts", 0, 1, 2**30)
+PATH_OMEGA: Final = fixed_point("omega_n Ts of DRM E40", 16, 1, 2**14)
 """At most a quarter: above it the difference equations of E40 deviate from the filter."""
-OBSERVER: Final = Format("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
-RECIPROCAL: Final = Format("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
-FLUX: Final = Format("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
-PI_SUM: Final = Format("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
+OBSERVER: Final = fixed_point("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
+RECIPROCAL: Final = fixed_point("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
+FLUX: Final = fixed_point("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
+PI_SUM: Final = fixed_point("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
 """pi_sum_t holds +-256: the sum of these gains, each times a fraction, and the integral part."""
-SEARCH_TURN: Final = Format("an eighth of a turn", 0, 1, 2**13)
-TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
-TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
-SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
+SEARCH_TURN: Final = fixed_point("an eighth of a turn", 0, 1, 2**13)
+TURN_STEP: Final = fixed_point("an eighth of a turn per slow tick", 16, 1, 2**13)
+TURN_TICKS: Final = fixed_point("uint16_t slow ticks", 0, 1, 2**15 - 1)
+SEARCH_ANGLE: Final = fixed_point("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
 
 SIGN_FACTOR: Final = 1.25
 """Least current with a certain direction, over the change of the current during a dead time."""
@@ -102,7 +102,7 @@ def _sensing(to: Converter) -> dict[str, Field]:
     p, counts = axis("motor.pole_pairs"), axis.counts
     steps = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
     # the firmware multiplies the ratio by up to half a turn of counts, in 32 bits
-    ratio = Format("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
+    ratio = fixed_point("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
     per_rad = counts / (2.0 * math.pi)
     torque = (
         axis.torque_constant * s.i / axis("motor.inertia") * board.tick**2 * per_rad

@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 
 from servo_tuning.configuration import Axis, Board, Scales
 from servo_tuning.errors import Remedy, either, higher
-from servo_tuning.formats import GAIN, Format
+from servo_tuning.formats import GAIN, FixedPoint, fixed_point
 from servo_tuning.gains import Pi
 
-TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
+TICKS: Final = fixed_point("uint16_t slow ticks", 0, 0, 2**16 - 2)
 """The 16-bit counter must be able to count beyond the largest value."""
 
 
@@ -58,12 +58,12 @@ class Converter:
     board: Board
     s: Scales
 
-    def at(self, format_: Format, path: str, scale: float) -> int:
+    def at(self, format_: FixedPoint, path: str, scale: float) -> int:
         """Raw number of an entry of the axis times `scale`."""
         change = self.axis.named(either(path))
         return format_.raw(self.axis.entry(path), self.axis(path) * scale, change, given=self.axis(path))
 
-    def board_at(self, format_: Format, key: str, scale: float) -> int:
+    def board_at(self, format_: FixedPoint, key: str, scale: float) -> int:
         """Raw number of an entry of [board] times `scale`."""
         entry = f"board.{key}"
         return format_.raw(entry, self.board(key) * scale, either(entry), given=self.board(key))
@@ -72,6 +72,6 @@ class Converter:
         """Raw number of a time, in slow ticks."""
         return self.at(TICKS, path, 1.0 / self.board.tick)
 
-    def of(self, format_: Format, name: str, value: float, *remedies: Remedy | str) -> int:
+    def of(self, format_: FixedPoint, name: str, value: float, *remedies: Remedy | str) -> int:
         """Raw number of a value that depends on several entries, in units of full scale."""
         return format_.raw(f"{self.axis.name}: {name}", value, *map(self.axis.named, remedies))

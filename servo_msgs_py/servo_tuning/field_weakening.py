@@ -196,8 +196,8 @@ def field_weakening_loops(axis: Axis, board: Board, block: Mapping[str, int]) ->
     """
     by_d, by_q = _voltage_per_current(axis, board)
     s = Scales.of(Catalogue.load())
-    per_volt = INT16_Q8.value(block["field_weakening.gain"]) * s.i / s.u_s**2 * 2.0 * board.voltage_max
-    q_share = FRAC16.value(block["field_weakening.q_share"])
+    per_volt = INT16_Q8.scale(block["field_weakening.gain"]) * s.i / s.u_s**2 * 2.0 * board.voltage_max
+    q_share = FRAC16.scale(block["field_weakening.q_share"])
     limit, maximum = axis("limits.current"), i_d_max(axis)
     giving_way = maximum / math.sqrt(max(limit**2 - maximum**2, (0.01 * limit) ** 2))
     gains = {"by i_d": by_d, "by i_d on the circle": by_d + giving_way * by_q, "by i_q": q_share * by_q}

@@ -9,7 +9,7 @@ from typing import Final
 from servo_tuning.configuration import Axis, Board, Scales
 from servo_tuning.conversion import TICKS, Converter, Field, PiRaw, pi_raw
 from servo_tuning.errors import ConfigError, either
-from servo_tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
+from servo_tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, fixed_point
 from servo_tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
 from servo_tuning.sensorless_checks import check_sensorless
 from servo_tuning.sensors import AMPLITUDE_OFFSET_TIME
@@ -18,17 +18,17 @@ F2: Final = 11
 """Fraction bits of the observed back-EMF beyond 15; F1 of the observed current is at most F2."""
 F1_MIN: Final = 6
 
-LOSS: Final = Format("1 - a below 1/2, 32 fraction bits", 32, 1, 2**31 - 1)
-DRIVE: Final = Format("int32_t with 32 fraction bits", 32, 1, 2**31 - 1)
-K1: Final = Format("-1 .. 0 with 31 fraction bits", 31, -(2**31), -1)
-K2: Final = Format("int32_t with 28 fraction bits", 28, 1, 2**31 - 1)
-STEP: Final = Format("half a turn per PWM period", 32, 1, 2**31 - 1)
-SPEED_PER_STEP: Final = Format("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
-TURN_COUNTS: Final = Format("int32_t counts with 16 fraction bits", 16, 1, 2**31 - 1)
-THRESHOLD: Final = Format("uint16_t with 16 fraction bits", 16, 1, 2**16 - 1)
-PART: Final = Format("uint16_t with 15 fraction bits", 15, 1, 2**16 - 1)
-SOME_TICKS: Final = Format(TICKS.name, 0, 1, TICKS.high)
-SLEW: Final = Format(FRAC32.name, 31, -(2**31), 2**31 - 1)
+LOSS: Final = fixed_point("1 - a below 1/2, 32 fraction bits", 32, 1, 2**31 - 1)
+DRIVE: Final = fixed_point("int32_t with 32 fraction bits", 32, 1, 2**31 - 1)
+K1: Final = fixed_point("-1 .. 0 with 31 fraction bits", 31, -(2**31), -1)
+K2: Final = fixed_point("int32_t with 28 fraction bits", 28, 1, 2**31 - 1)
+STEP: Final = fixed_point("half a turn per PWM period", 32, 1, 2**31 - 1)
+SPEED_PER_STEP: Final = fixed_point("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
+TURN_COUNTS: Final = fixed_point("int32_t counts with 16 fraction bits", 16, 1, 2**31 - 1)
+THRESHOLD: Final = fixed_point("uint16_t with 16 fraction bits", 16, 1, 2**16 - 1)
+PART: Final = fixed_point("uint16_t with 15 fraction bits", 15, 1, 2**16 - 1)
+SOME_TICKS: Final = fixed_point(TICKS.name, 0, 1, TICKS.raw_range[1])
+SLEW: Final = fixed_point(FRAC32.name, 31, -(2**31), 2**31 - 1)
 
 _WINDING: Final = "correct motor.r_s, motor.l_d or motor.l_q"
 _SLOWER: Final = either("observer.bandwidth")
@@ -127,7 +127,7 @@ def _step_per_emf(axis: Axis, board: Board, s: Scales) -> float:
     return math.ldexp(s.u_s / axis("motor.psi_m") * board.period / (2.0 * math.pi), 32 - 23)
 
 
-LOAD: Final = Format("int32_t", 0, 0, 2**31 - 1)
+LOAD: Final = fixed_point("int32_t", 0, 0, 2**31 - 1)
 
 
 def _steps_per_acceleration(board: Board) -> float:
@@ -135,7 +135,7 @@ def _steps_per_acceleration(board: Board) -> float:
     return math.ldexp(board.tick * board.period / (2.0 * math.pi), 32)
 
 
-STEP_GAIN: Final = Format("int32_t, 2^32 a turn", 32, 0, 2**31 - 1)
+STEP_GAIN: Final = fixed_point("int32_t, 2^32 a turn", 32, 0, 2**31 - 1)
 
 
 def _pll_gain(radians: float) -> float:
@@ -236,23 +236,23 @@ def used_observer(constants: Mapping[str, Field], design: BackEmfObserver, scale
     """Observer in SI units, computed from the integers."""
     raw = {key: _integer(constants, f"observer.{key}") for key in ("f1", "f2", "loss", "drive", "k1", "k2")}
     admittance = scales.u_s / scales.i
-    a = 1.0 - LOSS.value(raw["loss"])
-    b = math.ldexp(DRIVE.value(raw["drive"]), raw["f2"] - raw["f1"]) / admittance
+    a = 1.0 - LOSS.scale(raw["loss"])
+    b = math.ldexp(DRIVE.scale(raw["drive"]), raw["f2"] - raw["f1"]) / admittance
     r_s = (1.0 - a) / b
-    k2 = math.ldexp(K2.value(raw["k2"]), raw["f1"] - raw["f2"]) * admittance
-    return BackEmfObserver(r_s, -r_s * design.period / math.log(a), K1.value(raw["k1"]), k2, design.period)
+    k2 = math.ldexp(K2.scale(raw["k2"]), raw["f1"] - raw["f2"]) * admittance
+    return BackEmfObserver(r_s, -r_s * design.period / math.log(a), K1.scale(raw["k1"]), k2, design.period)
 
 
 def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: Scales) -> Pll:
     """PLL in SI units, computed from the integers."""
     full = scales.u_s / axis("motor.psi_m")
     kp, ki = (
-        math.ldexp(GAIN.value(_integer(constants, f"pll.{key}")), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki")
+        math.ldexp(GAIN.scale(_integer(constants, f"pll.{key}")), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki")
     )
     omega_n = math.sqrt(ki) / board.period
-    per_tick = STEP_GAIN.value(_integer(constants, "pll.acceleration"))
+    per_tick = STEP_GAIN.scale(_integer(constants, "pll.acceleration"))
     per_current = per_tick * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
     load = _integer(constants, "pll.load_gain") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
-    follow = GAIN.value(_integer(constants, "pll.amplitude_gain")) / _step_per_emf(axis, board, scales)
+    follow = GAIN.scale(_integer(constants, "pll.amplitude_gain")) / _step_per_emf(axis, board, scales)
     size = -0.5 * math.log(1.0 - follow) / board.tick
     return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, load, size)

@@ -160,7 +160,7 @@ def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, Conf
         designed=designed,
         used=used.gains(axis, configuration.board),
         constants=constants,
-        back_emf=GAIN.value(used.integer("current_loop.omega_psi")) * used.scales.u_s / used.scales.speed,
+        back_emf=GAIN.scale(used.integer("current_loop.omega_psi")) * used.scales.u_s / used.scales.speed,
         observer=used.observer(axis, configuration.board),
         used_sensorless=used.sensorless(axis, configuration.board, sensorless) if sensorless else None,
         designed_sensorless=sensorless,
@@ -215,24 +215,24 @@ class _Used:
     def pi(self, field: str, scale: float) -> Pi:
         raw = self.constants[field]
         assert isinstance(raw, PiRaw), field
-        return Pi(GAIN.value(raw.kp) * scale, GAIN.value(raw.ki) * scale, GAIN.value(raw.kc))
+        return Pi(GAIN.scale(raw.kp) * scale, GAIN.scale(raw.ki) * scale, GAIN.scale(raw.kc))
 
     def gains(self, axis: Axis, board: Board) -> Gains:
         s = self.scales
-        per_count = FRAC32.value(self.integer("position_gain")) * s.speed
+        per_count = FRAC32.scale(self.integer("position_gain")) * s.speed
         return Gains(
             current_d=self.pi("current_loop.d", s.u_s / s.i),
             current_q=self.pi("current_loop.q", s.u_s / s.i),
             speed=self.pi("speed", s.i / s.speed),
             position=per_count * axis.counts / (2.0 * math.pi),
-            path_omega_n=PATH_OMEGA.value(self.integer("path_omega_n_ts")) / board.tick,
+            path_omega_n=PATH_OMEGA.scale(self.integer("path_omega_n_ts")) / board.tick,
         )
 
     def observer(self, axis: Axis, board: Board) -> Observer:
         position, speed, acceleration = (
-            GAIN.value(self.integer(f"speed_observer.l_{of}")) for of in ("position", "speed", "acceleration")
+            GAIN.scale(self.integer(f"speed_observer.l_{of}")) for of in ("position", "speed", "acceleration")
         )
-        per_amp = OBSERVER.value(self.integer("speed_observer.acceleration_per_current")) / self.scales.i
+        per_amp = OBSERVER.scale(self.integer("speed_observer.acceleration_per_current")) / self.scales.i
         torque = per_amp / board.tick**2 * 2.0 * math.pi / axis.counts
         return Observer(torque, position, speed, acceleration)
 

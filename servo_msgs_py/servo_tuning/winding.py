@@ -15,7 +15,7 @@ from typing import Final
 from servo_tuning.configuration import Axis
 from servo_tuning.conversion import Converter, Field
 from servo_tuning.errors import either, higher, lower
-from servo_tuning.formats import FRAC16, Format
+from servo_tuning.formats import FRAC16, fixed_point
 
 COPPER: Final = 3.93e-3
 """Temperature coefficient of the resistance of copper, relative to the resistance at `COLD` [1/K]."""
@@ -30,7 +30,7 @@ STEP_TICKS: Final = 64
 """Slow ticks per step of the model."""
 
 _FIT: Final = 1.01  # tolerance of the temperature rise by the rated current: data sheets are rounded
-_HEAT: Final = Format("q32", 32, 1, 2**30 - 1)
+_HEAT: Final = fixed_point("q32", 32, 1, 2**30 - 1)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from rclpy.node import Node
 from servo_msgs_py.runtime.node_shell import run
-from servo_msgs_py.runtime.parameters import ParameterError, Spec
+from servo_msgs_py.runtime.parameters import ParameterError, spec
 
 from servo_twin.diagnosis.calibration import FALSE_ALARM_HOURS, Calibrator
 from servo_twin.diagnosis.thresholds import ThresholdsError
@@ -19,9 +19,9 @@ from servo_twin.node import ServoTwin
 
 PARAMETERS: Final = {
     **{name: spec for name, spec in TWIN_PARAMETERS.items() if name not in ("thresholds", "adapt")},
-    "duration": Spec(300.0, "board time of the calibration [s]; move both axes as in use", 60.0, 1e5),
-    "false_alarm_hours": Spec(FALSE_ALARM_HOURS, "mean time between false alarms [h of motion]", 1.0, 1e5),
-    "out": Spec("thresholds.toml", "file to write, for the parameter thresholds of servo_twin"),
+    "duration": spec(300.0, "board time of the calibration [s]; move both axes as in use", 60.0, 1e5),
+    "false_alarm_hours": spec(FALSE_ALARM_HOURS, "mean time between false alarms [h of motion]", 1.0, 1e5),
+    "out": spec("thresholds.toml", "file to write, for the parameter thresholds of servo_twin"),
 }
 """Parameters of the program."""
 

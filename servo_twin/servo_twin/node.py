@@ -32,7 +32,7 @@ from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
-from servo_msgs_py.runtime.parameters import ParameterError, Spec, declare
+from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_tuning.errors import ConfigError
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -56,26 +56,26 @@ _DIAGNOSIS_NS: Final = 250_000_000  # interval of messages with new estimates [n
 _BACKLOG_WARNING: Final = 0.5  # [s]
 
 PARAMETERS: Final = {
-    "board_namespace": Spec(
+    "board_namespace": spec(
         "servo",
         "namespace of the bridge node; without a leading slash relative to the parent namespace of the twin: "
         "servo is /a/servo for a twin in /a/twin",
     ),
-    "plant": Spec("", "TOML file with changes of the packaged plant.toml; empty: no changes"),
-    "seed": Spec(1, "seed of the sensor noise of the twin's board", 0, 2**31 - 1),
-    "position_tolerance": Spec(0.05, "largest position residual of a healthy twin [rad of the joint]", 1e-4, 1e3),
-    "velocity_tolerance": Spec(10.0, "largest velocity residual of a healthy twin [rad/s of the joint]", 1e-3, 1e4),
-    "effort_tolerance": Spec(0.05, "largest effort residual of a healthy twin [N m at the joint]", 1e-5, 1e3),
-    "healthy_after": Spec(0.5, "time of small residuals before the twin is healthy [s]", 0.0, 60.0),
-    "unhealthy_after": Spec(0.1, "time of a large residual before the twin is unhealthy [s]", 0.0, 60.0),
-    "report_timeout": Spec(
+    "plant": spec("", "TOML file with changes of the packaged plant.toml; empty: no changes"),
+    "seed": spec(1, "seed of the sensor noise of the twin's board", 0, 2**31 - 1),
+    "position_tolerance": spec(0.05, "largest position residual of a healthy twin [rad of the joint]", 1e-4, 1e3),
+    "velocity_tolerance": spec(10.0, "largest velocity residual of a healthy twin [rad/s of the joint]", 1e-3, 1e4),
+    "effort_tolerance": spec(0.05, "largest effort residual of a healthy twin [N m at the joint]", 1e-5, 1e3),
+    "healthy_after": spec(0.5, "time of small residuals before the twin is healthy [s]", 0.0, 60.0),
+    "unhealthy_after": spec(0.1, "time of a large residual before the twin is unhealthy [s]", 0.0, 60.0),
+    "report_timeout": spec(
         0.05, "time that a sample waits for the report of a command that it counts as applied [s]", 0.0, 1.0
     ),
-    "variable_rate": Spec(20.0, "rate of the residual/<variable> topics [Hz]", 0.1, 1000.0),
-    "thresholds": Spec(
+    "variable_rate": spec(20.0, "rate of the residual/<variable> topics [Hz]", 0.1, 1000.0),
+    "thresholds": spec(
         "", "threshold file of `servo_twin calibrate`; empty: packaged thresholds of two virtual boards"
     ),
-    "adapt": Spec(False, "adopt detected changes in the plant of the twin"),
+    "adapt": spec(False, "adopt detected changes in the plant of the twin"),
 }
 """Parameters of the node; ``config/servo_twin.yaml`` is generated from them."""
 

@@ -23,7 +23,7 @@ from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_tab
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import destroyed_on_error, run
-from servo_msgs_py.runtime.parameters import ParameterError, Spec, declare
+from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64MultiArray, String
 
@@ -34,14 +34,14 @@ from servo_twin.view.viewer import Viewer
 from servo_twin.view.web_page import WebPage, WebPageError, free_port
 
 PARAMETERS: Final = {
-    "record": Spec("", "file for the recording (.rrd); an existing file is replaced; empty: none"),
-    "web": Spec(True, "serve the live viewer to a browser on this machine; its address is printed"),
-    "grpc_port": Spec(9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535),
-    "web_port": Spec(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
-    "board_namespace": Spec(
+    "record": spec("", "file for the recording (.rrd); an existing file is replaced; empty: none"),
+    "web": spec(True, "serve the live viewer to a browser on this machine; its address is printed"),
+    "grpc_port": spec(9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535),
+    "web_port": spec(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
+    "board_namespace": spec(
         "servo", "namespace of the bridge node; without a leading slash relative to the namespace of the viewer"
     ),
-    "twin_namespace": Spec("twin", "namespace of the twin node, as board_namespace; the twin is optional"),
+    "twin_namespace": spec("twin", "namespace of the twin node, as board_namespace; the twin is optional"),
 }
 """Parameters of the node; ``config/servo_viewer.yaml`` is generated from them."""
 

@@ -12,6 +12,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 
+from servo_msgs_py.quantity import FINITE, Quantity
+
 _HELP_WIDTH: Final = 79
 _FILE_WIDTH: Final = 120
 _INDENT: Final = "    "
@@ -27,35 +29,38 @@ class ParameterError(ValueError):
     """A parameter is invalid; the text contains its name and its valid values."""
 
 
-@dataclass(frozen=True)
-class Spec:
-    """One parameter: default, description, range, and whether it can change at run time.
+@dataclass(frozen=True, kw_only=True)
+class Spec(Quantity):
+    """One parameter: a quantity, a list of them or a text, with a default.
 
     In a managed node, a `read_only` parameter can change only while the node is unconfigured.
     """
 
     default: Any
-    description: str
-    low: float | None = None  # smallest value; None: no limit
-    high: float | None = None  # largest value; None: no limit
-    read_only: bool = True
+    read_only: bool = True  # cannot change at run time
 
     @property
     def limits(self) -> str:
         """Range such as ``0 .. 1``; empty: no limit."""
-        return "" if self.low is None or self.high is None else f"{_decimal(self.low)} .. {_decimal(self.high)}"
+        return "" if self.maximum == FINITE else f"{_decimal(self.minimum)} .. {_decimal(self.maximum)}"
 
     def descriptor(self, *, managed: bool = False) -> ParameterDescriptor:
         """ROS descriptor; a managed node has no read-only parameters in ROS, so the node has to reject changes."""
-        result = ParameterDescriptor(description=self.description, read_only=self.read_only and not managed)
+        result = ParameterDescriptor(description=self.text, read_only=self.read_only and not managed)
         if self.read_only and managed:
             result.additional_constraints = "can be changed only while the node is unconfigured"
-        if self.low is not None and self.high is not None:
-            if isinstance(self.default, int):
-                result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
-            else:
-                result.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)]
+        if self.limits:
+            kind, number = (IntegerRange, int) if isinstance(self.default, int) else (FloatingPointRange, float)
+            limits = kind(from_value=number(self.minimum), to_value=number(self.maximum), step=number(0))
+            setattr(result, "integer_range" if kind is IntegerRange else "floating_point_range", [limits])
         return result
+
+
+def spec(
+    default: object, text: str, minimum: float = -FINITE, maximum: float = FINITE, *, read_only: bool = True
+) -> Spec:
+    """Return a parameter; see `Spec`."""
+    return Spec(default=default, text=text, minimum=minimum, maximum=maximum, read_only=read_only)
 
 
 def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False) -> dict[str, Any]:
@@ -80,7 +85,7 @@ def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False
         try:
             values[name] = node.declare_parameter(name, spec.default, spec.descriptor(managed=managed)).value
         except ParameterException as error:
-            raise ParameterError(f"parameter {name}: {error}; description: {spec.description}") from None
+            raise ParameterError(f"parameter {name}: {error}; description: {spec.text}") from None
     return values
 
 
@@ -98,7 +103,7 @@ def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
     ]
     for key, spec in parameters.items():
         limits = f", {spec.limits}" if spec.limits else ""
-        text = f"{spec.description} (default: {spec.default!r}{limits})"
+        text = f"{spec.text} (default: {spec.default!r}{limits})"
         indent = 6 * " "
         lines += [f"  {key}"]
         lines += textwrap.wrap(
@@ -127,7 +132,7 @@ def ros_parameter_file(name: str, parameters: Mapping[str, Spec]) -> str:
         "  ros__parameters:",
     ]
     for key, spec in parameters.items():
-        sentences = [f"{spec.description[0].upper()}{spec.description[1:]}."]
+        sentences = [f"{spec.text[0].upper()}{spec.text[1:]}."]
         if spec.limits:
             sentences.append(f"Range: {spec.limits}.".replace(" ", _NO_BREAK))
         if spec.read_only and not at_start:
