@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.catalogue import Catalogue
-from targets.comparison import Expectation, check
-from targets.history import MAIN_TRANSITIONS, RUN_TRANSITIONS, History, histories
+from targets.comparison import Expectation, check, combined
 from targets.line_coverage import missed_lines
-from targets.machines import TARGETS, Target
-from targets.recording import Recording
+from targets.machines import TARGETS, Host, Target
+from targets.recording import Recorder, Recording
+from targets.scenarios import SCENARIOS
 from targets.sources import Sources
 
 Needs = Callable[[Target], None]
@@ -91,47 +91,6 @@ def test_target_has_the_outputs_of_the_host(
 # ---- what the runs contain ------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def catalogue() -> Catalogue:
-    return Catalogue.load()
-
-
-@pytest.fixture(scope="module")
-def axis_histories(recordings: list[Recording], catalogue: Catalogue) -> dict[int, History]:
-    return histories(recordings, catalogue)
-
-
-@pytest.mark.parametrize("axis", [1, 2])
-def test_runs_pass_every_state(axis_histories: dict[int, History], catalogue: Catalogue, axis: int) -> None:
-    assert axis_histories[axis].states == set(catalogue.enums["state_t"])
-    assert axis_histories[axis].substates == set(catalogue.enums["substate_t"])
-
-
-def test_runs_pass_every_transition(axis_histories: dict[int, History]) -> None:
-    """They contain no other transition."""
-    assert axis_histories[1].transitions | axis_histories[2].transitions == MAIN_TRANSITIONS
-    assert axis_histories[1].run_transitions | axis_histories[2].run_transitions == RUN_TRANSITIONS
-
-
-def test_runs_leave_every_state_by_a_fault(axis_histories: dict[int, History]) -> None:
-    everywhere = {"INIT", "STOP", "CALIB", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP"}
-    assert axis_histories[1].faulted_from | axis_histories[2].faulted_from >= everywhere
-
-
-def test_runs_raise_every_fault_and_reach_every_limit(axis_histories: dict[int, History], catalogue: Catalogue) -> None:
-    assert axis_histories[1].faults | axis_histories[2].faults == {flag.name for flag in catalogue.flags["faults"]}
-    assert axis_histories[1].limits | axis_histories[2].limits == {flag.name for flag in catalogue.flags["limits"]}
-
-
-def test_runs_use_every_mode_and_switch_every_feature(recordings: list[Recording], catalogue: Catalogue) -> None:
-    written = [pair for recording in recordings for pair in recording.written]
-    modes = {raw for name, values in written if name == "cmd.mode" for raw in values}
-    assert modes == set(catalogue.enums["control_mode_t"].values())
-    features = [raw for name, values in written if name == "param.features" for raw in values]
-    for flag in catalogue.flags["features"]:
-        assert {bool(raw & flag.mask) for raw in features} == {False, True}, flag.name
-
-
 def test_runs_reach_every_line(c_sources: Sources, expected: list[Expectation], tmp_path: Path) -> None:
     """The comparison is not valid for lines that no run reaches."""
     missed = missed_lines(c_sources, [one.image for one in expected], tmp_path)
@@ -140,4 +99,59 @@ def test_runs_reach_every_line(c_sources: Sources, expected: list[Expectation], 
     assert {line.function for line in missed} == NOT_ON_A_TARGET, "the list names functions that are reached"
 
 
-# ---- recordings -----------------------------------------------------------------------------------------------------
+def test_recording_is_reproducible(recorder: Recorder, recordings: list[Recording]) -> None:
+    """The same seed gives the same bytes and digest, another seed does not."""
+    again, before = recorder.record(SCENARIOS[0]), recordings[0]
+    assert (again.image, again.digest, again.checks) == (before.image, before.digest, before.checks)
+    assert recorder.record(SCENARIOS[0], seed=2).digest != before.digest
+
+
+# ---- differences -----------------------------------------------------------------------------------------------------
+
+
+HOST = Host("host", "gcc", ("-O0",), "for this test", ("gcc",))
+
+
+def edited(sources: Sources, folder: Path, file: str, before: str, after: str) -> Sources:
+    """Copy of the sources with one change."""
+    copy = sources.copy(folder)
+    path = copy.firmware / file
+    text = path.read_text(encoding="utf-8")
+    assert text.count(before) == 1, f"{file} has changed: {before!r}"
+    path.write_text(text.replace(before, after), encoding="utf-8")
+    return copy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "before", "after", "expected"),
+    [
+        (
+            "drive/axis.c",
+            "#define U_DC_FILTER_SHIFT 4",
+            "#define U_DC_FILTER_SHIFT 5",
+            r"period \d+ \(\d+\.\d\d ms\), m2: u_dc is 0x[0-9a-f]+, recorded 0x[0-9a-f]+",
+        ),
+        (
+            "control/svm.h",
+            "INT32_C(18919)",
+            "INT32_C(18918)",
+            r"period \d+ \(\d+\.\d\d ms\), m[12]: axis[12] duty \d+ \d+ \d+, recorded axis[12] duty \d+ \d+ \d+",
+        ),
+        (
+            "drive/monitors.h",
+            "hal_over_current_active(axis->hal, axis->index) || ",
+            "",
+            r"period \d+ \(\d+\.\d\d ms\), m[12]: left 1 inputs than were recorded",
+        ),
+    ],
+    ids=["constant", "output", "input"],
+)
+def test_first_difference_is_named(
+    c_sources: Sources, recordings: list[Recording], tmp_path: Path, file: str, before: str, after: str, expected: str
+) -> None:
+    """The message has the first different call and the difference."""
+    (report,) = check([HOST], [recordings[0]], edited(c_sources, tmp_path, file, before, after), tmp_path / "build")
+    assert report.digest != combined([recordings[0].digest])
+    (problem,) = report.problems
+    assert re.fullmatch(f"{recordings[0].name}: {expected}", problem), problem

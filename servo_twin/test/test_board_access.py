@@ -18,6 +18,8 @@ from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.simulation import enable
+from servo_twin.validation.experiments.named_faults import fault_record
 
 
 @pytest.fixture(params=["ideal", "registers"])
@@ -64,6 +66,29 @@ def test_recording_starts_at_its_trigger(access: VirtualBoardAccess) -> None:
         access.record(["cmd.i_q"], 10, 1, slow=True)
     with pytest.raises(MeasurementError, match="is not a variable"):
         access.record(["axis3.i_q"], 10, 1, slow=True)
+
+
+def test_event_of_a_command_is_at_the_tick_of_its_effect(access: VirtualBoardAccess) -> None:
+    enable(access.board)
+    speed = access.catalogue.enums["control_mode_t"]["SPEED"]
+    names = ["tick", "axis2.event_mode", "axis2.mode"]
+    recording = access.record(
+        names, 10, 1, slow=False, start=lambda: access.write("cmd.mode", [speed], 1), trigger="axis2.event_mode"
+    )
+    assert recording.columns["tick"][0] == access.board.read_raw("applied_tick")[0]
+    assert recording.columns["axis2.mode"].tolist() == [speed] * 10
+
+
+def test_first_fault_is_at_the_tick_of_its_record(access: VirtualBoardAccess) -> None:
+    recording = access.record(
+        ["tick", "axis1.first_fault"], 10, 1, slow=False, start=lambda: access.board.set_supply(36.0),
+        trigger="axis1.first_fault",
+    )  # fmt: skip
+    assert set(recording.columns["axis1.first_fault"]) == {
+        access.catalogue.flag("faults", "OVER_VOLTAGE").mask.bit_length()
+    }
+    record = fault_record(access.board, 0)
+    assert 0 <= recording.columns["tick"][0] - record.tick <= 1
 
 
 def test_fault_is_reported_with_its_remedy(access: VirtualBoardAccess) -> None:

@@ -110,18 +110,16 @@ def parse_console(text: str) -> Outcome:
     raise ValueError(f"the program did not terminate normally; end of its output: {text[-200:]!r}")
 
 
-def parse_log(words: Sequence[int], *, snapshots_only: bool = False) -> Iterator[Call]:
-    """Calls in the log of the recorder (``recorder.h``): all, or those with a snapshot."""
+def parse_log(words: Sequence[int]) -> Iterator[Call]:
+    """Calls in the log of the recorder (``recorder.h``)."""
     at = 0
     while at < len(words):
         begin, snapshot = at + 5, at + 5 + words[at + 4]
-        count = words[snapshot]
-        if count or not snapshots_only:
-            low, high, kind, axis = words[at : begin - 1]
-            values = range(snapshot + 1, snapshot + 1 + 3 * count, 3)
-            fields = tuple((words[k], words[k + 1] | words[k + 2] << 16) for k in values)
-            yield Call(low | high << 16, kind, axis, 0, 0, tuple(words[begin:snapshot]), fields)
-        at = snapshot + 1 + 3 * count
+        low, high, kind, axis = words[at : begin - 1]
+        end = snapshot + 1 + 3 * words[snapshot]
+        fields = tuple((words[k], words[k + 1] | words[k + 2] << 16) for k in range(snapshot + 1, end, 3))
+        yield Call(low | high << 16, kind, axis, 0, 0, tuple(words[begin:snapshot]), fields)
+        at = end
 
 
 def difference(call: Call, recorded: Call, fields: Mapping[int, str]) -> str | None:

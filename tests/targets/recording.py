@@ -55,16 +55,11 @@ class Recording:
     periods: int  # length of the run [PWM periods]
     log: memoryview  # all calls, encoded by the recorder; see `calls`
     fields: dict[int, str]  # names of the entries in the table of variables, by index
-    written: tuple[tuple[str, tuple[int, ...]], ...]  # variables that the host wrote, and the raw numbers
 
     def calls(self, first: int = 0, last: int | None = None) -> list[Call]:
         """Calls of the periods `first` to `last`, inclusive."""
         end = self.periods if last is None else last
         return [call for call in parse_log(self.log) if first <= call.period <= end]
-
-    def snapshots(self) -> list[dict[int, int]]:
-        """Raw numbers of every published snapshot, by index in `fields`."""
-        return [dict(call.snapshot) for call in parse_log(self.log, snapshots_only=True)]
 
     def printing(self, first: int, last: int) -> bytes:
         """Return the image with the request to print each call of the periods `first` to `last`."""
@@ -140,7 +135,6 @@ class Recorder:
                 periods=int(lib.record_periods()),
                 log=memoryview(log).cast("H"),
                 fields=dict(enumerate(rig.entries)),
-                written=tuple(rig.written),
             )
 
     def arithmetic(self, seed: int = 1, rounds: int = ARITHMETIC_ROUNDS) -> Arithmetic:

@@ -55,7 +55,6 @@ class Rig:
         # names of the entries in the table of variables
         self.entries: Sequence[str] = [entry.name for entry in self._memory.table]
         self._sent_ns = 0
-        self.written: list[tuple[str, tuple[int, ...]]] = []  # variables and their raw numbers, in order
 
     def __enter__(self) -> Rig:
         return self
@@ -125,7 +124,6 @@ class Rig:
     def set_raw(self, name: str, *raw: int) -> None:
         """Write the raw numbers of a variable; the board refuses those outside its range."""
         self.request(commands.write_memory(self.address(name), self.catalogue[name].encode_raw(raw)))
-        self.written.append((name, raw))
 
     def points(self, *points: TimedPoint) -> None:
         """Write timed points; the answer is not checked."""
@@ -136,7 +134,6 @@ class Rig:
         """Write words of timed points, complete points or not."""
         data = b"".join(word.to_bytes(4, "little", signed=True) for word in words)
         self.request(commands.write_memory(self.address("cmd.points"), data))
-        self.written.append(("cmd.points", words))
 
     def points_together(self, *writes: Sequence[TimedPoint]) -> None:
         """Send several writes of timed points without a pause."""
