@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 from core_library import Core
 from servo_bench import BRAKE, CODE_24V, MODE, PULL, REST, STATE, SUBSTATE, VERIFY, Bench
@@ -188,27 +186,6 @@ def test_stop_from_spin_goes_through_freewheel_and_ready(bench: Bench) -> None:
     assert not bench.hal.axis[0].outputs_on
 
 
-def test_stop_ramps_down_first(bench: Bench) -> None:
-    bench.to_spin(0)
-    bench.turn(0, 100.0)
-    bench.write(0, mode=MODE.SPEED, speed=int(100 / 523.6 * 2**31))
-    bench.slow(100)
-    bench.write(0, enable=0)
-    bench.slow()
-    start = bench.view(0).speed_ref
-    assert start == pytest.approx(100 / 523.6 * 2**31, rel=0.05)
-    references = [start]
-    while bench.view(0).substate == SUBSTATE.SPIN:
-        assert bench.hal.axis[0].outputs_on
-        bench.turn(0, bench.view(0).speed_ref / 2**31 * 523.6)
-        bench.slow()
-        references.append(bench.view(0).speed_ref)
-    steps = [(a - b) / 2**31 * 523.6 / 0.5e-3 for a, b in itertools.pairwise(references)]
-    assert max(steps) <= 4000.0 * 1.01  # servo.toml: limits.acceleration
-    assert bench.view(0).substate == SUBSTATE.FREEWHEEL
-    assert len(references) == pytest.approx(100.0 / 4000.0 / 0.5e-3, abs=15)
-
-
 def test_stop_of_a_shaft_that_does_not_slow_down_ends_after_its_time(bench: Bench) -> None:
     bench.to_spin(0)
     bench.turn_without_current(0, 100.0)
@@ -260,16 +237,6 @@ def test_position_survives_a_new_alignment(bench: Bench) -> None:
     bench.to_substate(0, SUBSTATE.SPIN)
     assert bench.view(0).position == travelled + bench.shaft[0].shaft - before
     assert bench.view(0).faults == 0
-
-
-def test_axes_run_independently(bench: Bench) -> None:
-    bench.to_spin(0, 1)
-    bench.write(0, enable=0)
-    bench.until(lambda: bench.view(0).state == STATE.STOP, 500)
-    assert (bench.view(1).state, bench.view(1).substate) == (STATE.RUN, SUBSTATE.SPIN)
-    bench.write(0, enable=1)
-    bench.to_substate(0, SUBSTATE.SPIN)
-    assert (bench.view(1).state, bench.view(1).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 @pytest.mark.parametrize(

@@ -116,23 +116,6 @@ def test_hold_after_a_disable_ends_after_its_time(turning: Bench) -> None:
     assert held == pytest.approx(2000, abs=60)
 
 
-def test_quick_stop_holds_as_long_as_the_drive_is_enabled(turning: Bench) -> None:
-    withdraw(turning, STOP_CATEGORY.HOLD, "quick_stop")
-    turning.follow(60)
-    turning.turn(0, 0.0)
-    turning.slow(4000)
-    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN)
-    assert turning.hal.axis[0].outputs_on
-
-
-def test_a_stop_without_standstill_ends_after_its_time(turning: Bench) -> None:
-    """The stop ends after 5 s, also if the bus voltage limits the braking current."""
-    turning.hal.bus_code = bus_code(32.5)
-    withdraw(turning, STOP_CATEGORY.RAMP)
-    ticks = turning.until(lambda: place(turning)[1] == SUBSTATE.FREEWHEEL, 11_000)
-    assert ticks == pytest.approx(10_000, abs=3)
-
-
 def test_an_enable_during_a_winding_short_waits_for_standstill(turning: Bench) -> None:
     withdraw(turning, STOP_CATEGORY.SHORT)
     turning.write(0, enable=1)
@@ -151,13 +134,6 @@ def fail(bench: Bench, *findings: str) -> None:
     found = sum(1 << int(getattr(lib, f"FINDING_{name}")) for name in findings or ("FOLLOWING_ERROR",))
     lib.axis_raise(bench.core.ffi.addressof(bench.axis(0)), found)
     bench.slow()
-
-
-def test_faults_coast_at_once_by_default(turning: Bench) -> None:
-    fail(turning)
-    assert turning.view(0).state == STATE.FAULT
-    assert not turning.hal.axis[0].outputs_on
-    assert place(turning, 1) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 @pytest.mark.parametrize("category", ["ramp", "hold", "shorted"])

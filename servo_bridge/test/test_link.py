@@ -11,7 +11,7 @@ from fake_port import FakePort
 from fake_servo import FakeServo
 from fake_target import RO
 from link_watcher import TIMEOUT, StartLink, Watcher
-from servo_bridge.freemaster.errors import OutOfRangeError, StatusError
+from servo_bridge.freemaster.errors import StatusError
 from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus
 
 pytestmark = pytest.mark.realtime
@@ -129,20 +129,6 @@ def test_refusal_of_the_board_keeps_the_link(connected: Watcher, fake_board: Fak
         connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
     connected.wait_samples(5)
     assert connected.states[-1].state is LinkState.CONNECTED
-
-
-def test_refusal_of_a_value_by_the_board_reports_its_range(connected: Watcher, fake_board: FakeServo) -> None:
-    for name, raw, first, text in (
-        ("cmd.mode", [0, 9], 0, r"cmd.mode\[1\]: 9 is outside 0 .. 4"),
-        ("param.host_timeout", [60001], 0, "param.host_timeout: 30.0005 is outside 0.05 .. 30 s"),
-        ("param.i_q_limit", [0], 1, r"param.i_q_limit\[1\]: 0 is outside 0.1 .. 4 A"),
-        ("cmd.position", [2**30 + 1], 1, r"cmd.position\[1\]: 1.68663e\+06 rad is more than"),
-    ):
-        with pytest.raises(OutOfRangeError, match=text):
-            connected.link.write_raw(name, raw, first=first).result(TIMEOUT)
-    connected.wait_samples(3)
-    assert connected.states[-1].state is LinkState.CONNECTED
-    assert fake_board.written == []
 
 
 def test_without_a_link_jobs_fail_at_once(start_link: StartLink) -> None:

@@ -115,29 +115,6 @@ def test_recording_without_trigger_is_ended_by_the_service(rig: Rig) -> None:
     assert record(rig, True)[0]
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ("axis1.iq", "did you mean axis1.i_q"),
-        ("axis1.i_q --rate 5000", "5333.33 or 4000 Hz, not 5000 Hz"),
-        ("axis1.i_q --slow", "no recorder 1"),
-    ],
-)
-def test_impossible_recording_is_refused_with_a_reason(rig: Rig, options: str, expected: str) -> None:
-    assert rig.set_parameter("recording", options)[0]
-    success, message = record(rig, True)
-    assert not success
-    assert expected in message
-    assert rig.messages[topics.RECORDING] == []
-
-
-@pytest.mark.parametrize("options", ["", "axis1.i_q --fast --slow", "axis1.i_q --level", "x 'y", "--before 130% x"])
-def test_invalid_options_are_refused_as_parameter(rig: Rig, options: str) -> None:
-    success, reason = rig.set_parameter("recording", options)
-    assert not success
-    assert "parameter recording: " in reason
-
-
 def test_a_lost_link_ends_a_recording(rig: Rig) -> None:
     assert rig.set_parameter("recording", "axis1.i_q --trigger 'axis1.i_q > 3'")[0]
     assert record(rig, True)[0]

@@ -255,20 +255,6 @@ def test_load_reports_the_value_refused_by_the_board(
     assert "cmd.position: 0, 0 rad is more than 1.68663e+06 rad away from the shaft" in capsys.readouterr().err
 
 
-def test_refusal_of_a_write_is_reported(
-    fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def refuse(address: int, data: bytes) -> None:
-        next(e for e in fake_board.tables[0] if e.name == "cmd.enable").kind = RO
-
-    fake_board.before_scope = None
-    fake_board.on_write = refuse
-    assert run("set", "cmd.enable", "1,1") == 0
-    fake_board.build(0x3000)
-    assert run("set", "cmd.enable", "1,1") == 1
-    assert "cmd.enable is read-only" in capsys.readouterr().err
-
-
 # ---- parameter files ----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["board.toml", "board.json"])
 def test_saved_values_can_be_compared_and_loaded(
@@ -384,11 +370,6 @@ def test_a_missing_file_is_reported(
     assert "no.toml: No such file" in capsys.readouterr().err
 
 
-def test_save_without_a_match_writes_no_file(fake_port: FakePort, run: Run, tmp_path: Path) -> None:
-    assert run("save", str(tmp_path / "x.toml"), "--match", "axis*") == 1
-    assert not (tmp_path / "x.toml").exists()
-
-
 # ---- other boards -------------------------------------------------------------------------------------------------
 def test_an_unknown_board_is_read_and_written_by_its_own_types(
     foreign_target: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
@@ -428,27 +409,6 @@ def test_members_of_structures_are_variables(
     assert "drive.loops[0].gain=0" in capsys.readouterr().out
     assert run("set", "drive.loops[0]", "1") == 2
     assert "write its members, such as drive.loops[0].gain" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("pattern", ["*", "drive"])
-def test_structures_are_saved_and_loaded_by_member(
-    foreign_target: FakeTarget, run: Run, tmp_path: Path, pattern: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = str(tmp_path / "x.toml")
-    assert run("set", "drive.loops[1].gain", "1.5") == 0
-    assert run("save", file, "--match", pattern) == 0
-    before = foreign_target.peek(0x1040, 12)
-    foreign_target.poke(0x1040, bytes(range(12)))
-    assert run("diff", file) == 1
-    assert run("load", file) == 0
-    assert foreign_target.peek(0x1040, 12) == before
-
-
-def test_an_array_longer_than_the_buffer_is_written_in_pieces(foreign_target: FakeTarget, run: Run) -> None:
-    assert run("set", "curve", ",".join(str(-k) for k in range(100))) == 0
-    assert [int.from_bytes(foreign_target.peek(0x1100 + 4 * k, 4), "little", signed=True) for k in (0, 57, 99)] == [
-        0, -57, -99,
-    ]  # fmt: skip
 
 
 # ---- boards of version 3, and boards with passwords ---------------------------------------------------------------

@@ -287,14 +287,6 @@ def test_results_of_another_sweep_are_not_changed(tmp_path: Path) -> None:
     assert (tmp_path / RESULTS).read_bytes() == before
 
 
-def test_a_million_results_need_eight_bytes_each(tmp_path: Path) -> None:
-    with Store(tmp_path, {}, 1_000_000, resume=False) as store:
-        store.add(trial(999_999))
-        assert store._offsets.nbytes == 8_000_000
-        assert list(store) == [trial(999_999)]
-        assert len(store) == 1
-
-
 # ---- the command -----------------------------------------------------------------------------------------------------
 
 
@@ -313,12 +305,6 @@ def test_a_sweep_makes_table_picture_and_summary(tmp_path: Path, capsys: pytest.
     table = parquet.read_table(tmp_path / "sweep.parquet").to_pylist()
     assert [row["axis1 settling time"] for row in table] == [float(row["axis1 settling time"]) for row in rows]
     assert "6 of 6 trials" in capsys.readouterr().out
-
-
-def test_results_are_the_same_with_any_number_of_workers(tmp_path: Path) -> None:
-    for workers in ("1", "3"):
-        assert sweep(*VARY, "--count", "5", "--workers", workers, "--out", str(tmp_path / workers)) == 0
-    assert rows_of(tmp_path / "1") == rows_of(tmp_path / "3")
 
 
 def test_printed_command_repeats_a_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
