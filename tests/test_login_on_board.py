@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from servo_bridge.freemaster.frames import crc8, encode_uleb
+from servo_bridge.freemaster.frames import encode_request, encode_uleb
 from servo_msgs_py.text_file import read_toml
 from servo_twin.board import Board
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
@@ -34,8 +34,7 @@ def board(firmware: Any) -> Iterator[Board]:
 
 def ask(board: Board, code: int, payload: bytes) -> bytes:
     """Status and data of the answer."""
-    body = bytes([code, len(payload)]) + payload
-    board.serial_in(b"\x2b" + (body + bytes([crc8(body)])).replace(b"\x2b", b"\x2b\x2b"))
+    board.serial_in(encode_request(code, payload))
     board.run(0.05)
     return board.serial_out()[1:-1].replace(b"\x2b\x2b", b"\x2b")
 

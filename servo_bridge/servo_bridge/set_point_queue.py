@@ -159,10 +159,13 @@ class SetPointQueue:
         if self._halted:
             halted, self._halted = self._halted, set()
             return _joined("cmd.mode", dict.fromkeys(halted, Mode.POSITION.value))
-        waiting = {axis: target for axis, target in enumerate(self._targets) if target is not None}
-        modes = dict.fromkeys(self.following, Mode.TRAJECTORY)
-        modes.update({axis: target.mode for axis, target in waiting.items()})
-        changes = {axis: mode.value for axis, mode in modes.items() if self._modes[axis] is not mode}
+        following, waiting, changes = self.following, dict[int, Target](), dict[int, int]()
+        for axis, (mode, target) in enumerate(zip(self._modes, self._targets, strict=True)):
+            if target is not None:
+                waiting[axis] = target
+            wanted = target.mode if target is not None else Mode.TRAJECTORY if axis in following else mode
+            if wanted is not None and wanted is not mode:
+                changes[axis] = wanted.value
         if changes:
             return _joined("cmd.mode", changes)
         if not waiting:
@@ -222,4 +225,4 @@ def _axes_of(write: CommandWrite) -> list[int]:
 def _joined(variable: str, elements: Mapping[int, int]) -> CommandWrite:
     """Write of neighbouring elements; with two axes every set of elements is contiguous."""
     axes = sorted(elements)
-    return CommandWrite(variable, axes[0], tuple(elements[axis] for axis in axes))
+    return CommandWrite(variable, axes[0], tuple(map(elements.__getitem__, axes)))

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from servo_bridge.set_points import Rejected
 from servo_msgs_py import topics
@@ -24,8 +24,7 @@ _STOP: Final = {
 """How to stop a source, by topic."""
 
 
-@dataclass(frozen=True)
-class Source:
+class Source(NamedTuple):
     """Topic and quantity of a set-point."""
 
     topic: str  # relative name
@@ -72,9 +71,10 @@ class Sources:
         Rejected
             If another topic has precedence.
         """
+        if self.preferred in ("", topic):
+            return
         for axis in axes:
-            topics = {each.topic for each in self._active(axis, axis in following)}
-            if self.preferred != topic and self.preferred in topics:
+            if any(each.topic == self.preferred for each in self._active(axis, axis in following)):
                 stop = _STOP.get(self.preferred, "stop it")
                 raise Rejected(
                     f"{topic}: {self.preferred} commands {joints[axis]} and has precedence (parameter "
@@ -101,8 +101,7 @@ class Sources:
             last = next(reversed(sources), source)
             # A change of the source is no conflict; a source that returns while active is.
             if last != source and source in sources:
-                pair = sorted((last, source), key=lambda each: (each.topic, each.quantity))
-                self._conflict = now, Conflict(joints[axis], *pair)
+                self._conflict = now, Conflict(joints[axis], *sorted((last, source)))
             sources.pop(source, None)
             sources[source] = now
             self._seen[axis] = sources

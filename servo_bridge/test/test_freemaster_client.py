@@ -20,6 +20,7 @@ from servo_bridge.freemaster.errors import (
     StatusError,
     WrongProtocolError,
 )
+from servo_bridge.freemaster.frames import Framing
 
 
 def connected(target: FakeTarget) -> Client:
@@ -130,6 +131,20 @@ def test_the_largest_write_fits_and_no_larger_one_is_tried(mtu: int) -> None:
     with pytest.raises(CodecError, match="do not fit one write"):
         client.write_memory(0x2000_0000, bytes(limit + 1))
     assert target.requests == []
+
+
+def test_a_write_is_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = connected(FakeTarget(safety=False))
+    encoded: list[int] = []
+    encode = Framing.encode
+
+    def counted(self: Framing, command: int, payload: bytes = b"") -> bytes:
+        encoded.append(command)
+        return encode(self, command, payload)
+
+    monkeypatch.setattr(Framing, "encode", counted)
+    client.write_memory(0x2000_0000, b"ab", lengthy=True)
+    assert encoded == [0x23]
 
 
 def test_28_scope_slots_take_one_frame() -> None:

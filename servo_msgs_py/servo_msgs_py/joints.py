@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final, TypeVar
 
 import numpy as np
@@ -79,7 +80,7 @@ class Joint:
                 "remove position_min and position_max of this joint, or write false"
             )
 
-    @property
+    @cached_property
     def reduction(self) -> float:
         """Gear ratio with the sign of the direction."""
         return self.direction * self.gear_ratio
