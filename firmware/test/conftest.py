@@ -14,9 +14,11 @@ if TEST not in sys.path:
     sys.path.insert(0, TEST)
 
 from core_library import Core, load_core  # noqa: E402
+from diagnosis_rig import Diagnosis  # noqa: E402
 from firmware_compiler import CompileC, CompileProgram  # noqa: E402
 from freemaster_board import CDEF, Board  # noqa: E402
 from freemaster_model import COMM_SOURCES, SERVO, SHEET, Layout  # noqa: E402
+from port_board import FakeBoard  # noqa: E402
 from servo_bench import Bench  # noqa: E402
 
 
@@ -48,6 +50,20 @@ def bench(core: Core) -> Bench:
     bench.to_spin(0)
     bench.slow(2)
     return bench
+
+
+@pytest.fixture
+def rig(compile_c: CompileC) -> Diagnosis:
+    """The monitors of the diagnosis."""
+    return Diagnosis(compile_c)
+
+
+@pytest.fixture
+def board(compile_c: CompileC) -> FakeBoard:
+    """The port after its start, without the accesses of the start."""
+    board = FakeBoard(compile_c)
+    board.forget()
+    return board
 
 
 @pytest.fixture(scope="session")

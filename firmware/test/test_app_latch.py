@@ -35,7 +35,7 @@ def marks_of(core: Core, offset: int, size: int) -> Any:
 
 @given(data=st.data())
 def test_any_range_marks_exactly_the_elements_it_contains(core: Core, data: st.DataObject) -> None:
-    total = core.ffi.offsetof("command_block_t", "points")
+    total = core.ffi.offsetof("command_block_t", "memory")
     begin = data.draw(st.integers(0, total - 1))
     size = data.draw(st.integers(1, total - begin))
     marks = marks_of(core, begin, size)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -17,10 +16,9 @@ from servo_tuning.findings import findings
 from servo_tuning.optional import PARTS
 from servo_tuning.passwords import password_constants
 from servo_tuning.reading import parse
-from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
 from servo_tuning.source import c_source
 from servo_tuning.tuned import tuned
-from tuning_tool import CATALOGUE, case, configuration, table
+from tuning_tool import CATALOGUE, case, configuration, entries, table
 
 
 def compute(**changes: object) -> str:
@@ -37,27 +35,15 @@ def test_the_committed_configuration_is_accepted() -> None:
 # ---- single numbers -------------------------------------------------------------------------------------------------
 
 
-def entries() -> Iterator[tuple[str, str, Quantity]]:
-    """Every number of the file: its key, its name, its requirements."""
-    for key, entry in BOARD.items():
-        yield f"board__{key}", f"board.{key}", entry
-    for group, keys in BOARD_GROUPS.items():
-        for key, entry in keys.items():
-            yield f"board__{group}__{key}", f"board.{group}.{key}", entry
-    for group, keys in AXIS_GROUPS.items():
-        for key, entry in keys.items():
-            yield f"axis1__{group}__{key}", f"axis1.{group}.{key}", entry
-
-
-ENTRIES = [pytest.param(*entry, id=entry[1]) for entry in entries()]
+ENTRIES = [pytest.param(name, entry, id=name) for name, entry in entries()]
 
 
 def optional(row: Any) -> bool:
-    return bool(row.values[2].optional)
+    return bool(row.values[1].optional)
 
 
-@pytest.mark.parametrize(("place", "name", "entry"), ENTRIES)
-def test_invalid_value_of_an_entry_is_refused(place: str, name: str, entry: Quantity) -> None:
+@pytest.mark.parametrize(("name", "entry"), ENTRIES)
+def test_invalid_value_of_an_entry_is_refused(name: str, entry: Quantity) -> None:
     wrong: list[tuple[object, str]] = [
         (-1.0, "too small"),
         (-1e-300, "too small"),
@@ -82,17 +68,17 @@ def test_invalid_value_of_an_entry_is_refused(place: str, name: str, entry: Quan
         wrong.append((entry.maximum * 1.001 if not entry.whole else entry.maximum + 1.0, "too large"))
     for value, reason in wrong:
         with pytest.raises(ConfigError) as refusal:
-            compute(**{place: value})
+            compute(**{name.replace(".", "__"): value})
         message = str(refusal.value)
         assert message.startswith(f"{name} = "), message
         assert reason in message
         assert entry.text in message, "the message contains the meaning of the entry"
 
 
-@pytest.mark.parametrize(("place", "name", "entry"), [row for row in ENTRIES if not optional(row)])
-def test_missing_entry_is_refused(place: str, name: str, entry: Quantity) -> None:
+@pytest.mark.parametrize(("name", "entry"), [row for row in ENTRIES if not optional(row)])
+def test_missing_entry_is_refused(name: str, entry: Quantity) -> None:
     whole = table()
-    *groups, key = place.split("__")
+    *groups, key = name.split(".")
     for owner in (groups[0], "defaults"):
         part: dict[str, Any] = whole.get(owner, {})
         for group in groups[1:]:

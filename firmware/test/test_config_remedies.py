@@ -4,31 +4,16 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Iterator
 from typing import Any, Final
 
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from servo_msgs_py.quantity import Quantity
 from servo_tuning.acceptance import refusal_of
 from servo_tuning.errors import RAISE, Remedy, lower, refused, value_in, with_value
-from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
-from tuning_tool import table
+from tuning_tool import entries, table
 
 STEPS_MAX: Final = 12
-
-
-def entries() -> Iterator[tuple[str, Quantity]]:
-    """Every number of the board and of axis 1 that the committed file has."""
-    for key, entry in BOARD.items():
-        yield f"board.{key}", entry
-    for group, keys in BOARD_GROUPS.items():
-        for key, entry in keys.items():
-            yield f"board.{group}.{key}", entry
-    for group, keys in AXIS_GROUPS.items():
-        for key, entry in keys.items():
-            yield f"axis1.{group}.{key}", entry
 
 
 ENTRIES: Final = {name: entry for name, entry in entries() if value_in(table(), name) is not None}

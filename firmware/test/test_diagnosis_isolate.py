@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 
 import pytest
 from diagnosis_rig import ANGLE, CURRENT, ENCODER, PHASE, SENSOR, Diagnosis
-from firmware_compiler import CompileC
 from servo_msgs_py.catalogue import Catalogue
 
 BITS: Final = {fault.name: fault.mask for fault in Catalogue.load().flags["faults"]}
@@ -68,11 +67,6 @@ RULES: Final = {
     "LIMIT_SWITCH": Rule("LIMIT_SWITCH"),
 }
 """In the order of their priority."""
-
-
-@pytest.fixture
-def rig(compile_c: CompileC) -> Diagnosis:
-    return Diagnosis(compile_c)
 
 
 def verdict(rig: Diagnosis, findings: int, suspected: int = 0, enabled: int = ALL, **more: int) -> tuple[int, int]:

@@ -20,14 +20,8 @@ from diagnosis_rig import (
     SILENT,
     Diagnosis,
 )
-from firmware_compiler import CompileC
 
 NOTHING: set[str] = set()
-
-
-@pytest.fixture
-def rig(compile_c: CompileC) -> Diagnosis:
-    return Diagnosis(compile_c)
 
 
 def first_tick(step: Callable[[int], set[str]], finding: str, ticks: int) -> int:

@@ -11,13 +11,6 @@ IEF, IEFIE, TOF = 0x0800, 0x0400, 0x2000
 CAPT, CNTR, SCTRL = 2, 5, 7
 
 
-@pytest.fixture
-def board(compile_c: CompileC) -> FakeBoard:
-    board = FakeBoard(compile_c)
-    board.forget()
-    return board
-
-
 def edge(board: FakeBoard, axis: int, count: int, time: int) -> None:
     """A B edge: timers with a clear flag capture their counters."""
     for channel, value in ((0, count), (1, time), (3, 0)):

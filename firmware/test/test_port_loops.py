@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from firmware_compiler import CompileC
 from port_board import BREAK, M1, M2, PWM, READ, SERVO, WRITE, FakeBoard
 
 START, ISR_M1, ISR_M2, FAULT = 87, 85, 30, (77, 63)
@@ -13,13 +12,6 @@ FIRST, SECOND = 0x0707, 0x3838
 TAKEN = 0x0105 | 0x0828  # currents and bus; the others are read where they are used
 RDY = 0xE50A
 TIME_STAMP = 0xE155  # counter of channel 1 of TMRA
-
-
-@pytest.fixture
-def board(compile_c: CompileC) -> FakeBoard:
-    board = FakeBoard(compile_c)
-    board.forget()
-    return board
 
 
 def servo_calls(board: FakeBoard) -> list[tuple[int, int]]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import copy
 import math
 import re
+from collections.abc import Iterator
 from typing import Any, Final
 
 from firmware_compiler import FIRMWARE
 from hypothesis import strategies as st
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.text_file import read_toml
 from servo_tuning.configuration import Configuration
 from servo_tuning.reading import parse
+from servo_tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
 from servo_tuning.tuned import Tuned, tuned
 
 FILE: Final = FIRMWARE / "config" / "servo.toml"
@@ -50,6 +53,18 @@ def case(beginning: str, reason: str, **changes: object) -> tuple[str, str, dict
     named = re.fullmatch(r"(\w+(?:\.\w+)+) = (\S+)", beginning)
     entry = {named[1].replace(".", "__"): float(named[2])} if named else {}
     return beginning, reason, {**changes, **entry}
+
+
+def entries() -> Iterator[tuple[str, Quantity]]:
+    """Every number of the board and of axis 1: its name and its requirements."""
+    for key, entry in BOARD.items():
+        yield f"board.{key}", entry
+    for group, keys in BOARD_GROUPS.items():
+        for key, entry in keys.items():
+            yield f"board.{group}.{key}", entry
+    for group, keys in AXIS_GROUPS.items():
+        for key, entry in keys.items():
+            yield f"axis1.{group}.{key}", entry
 
 
 def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
