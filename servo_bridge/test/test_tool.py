@@ -561,10 +561,10 @@ def test_a_board_without_answers_is_reported(fake_port: FakePort, run: Run, caps
         (["jump"], "'jump'"),
         (["get"], "NAME"),
         (["info", "--baud", "abc"], "'abc' is not a finite number"),
-        (["info", "--baud", "9600.5"], "9600.5 is not a whole number"),
+        (["info", "--baud", "9600.5"], "'9600.5' is not a whole number"),
         (["info", "--port", ""], "empty; write a device"),
-        (["watch", "x", "--rate", "-1"], "-1 is not above 0"),
-        (["watch", "x", "--count", "-1"], "-1 is not above 0"),
+        (["watch", "x", "--rate", "-1"], "'-1' is too small; write a number above 0"),
+        (["watch", "x", "--count", "-1"], "'-1' is too small; write a whole number from 1"),
     ],
 )
 def test_wrong_command_lines_are_usage_errors(

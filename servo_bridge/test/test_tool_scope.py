@@ -101,4 +101,4 @@ def test_a_board_without_a_recorder_is_refused(tmp_path: Path, capsys: pytest.Ca
 def test_wrong_options_show_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         tool.main(["scope", "x", "--count", "0"])
-    assert "0 is not above 0" in capsys.readouterr().err
+    assert "'0' is too small; write a whole number from 1" in capsys.readouterr().err

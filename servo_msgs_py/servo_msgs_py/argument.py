@@ -4,35 +4,37 @@ from __future__ import annotations
 
 import math
 from argparse import ArgumentTypeError
+from typing import Final
+
+from servo_msgs_py.quantity import ABOVE_0, Quantity
+
+_FINITE: Final = Quantity()
+_NOT_NEGATIVE: Final = Quantity(minimum=0.0)
+_POSITIVE: Final = Quantity(minimum=ABOVE_0)
+_COUNT: Final = Quantity(minimum=1.0, whole=True)
 
 
-def finite(text: str) -> float:
-    """A finite number."""
+def finite(text: str, valid: Quantity = _FINITE) -> float:
+    """A finite number that is valid for a quantity."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise ArgumentTypeError(f"{text!r} is not a finite number")
+    if problem := valid.problem(value):
+        raise ArgumentTypeError(f"{text.strip()!r} is {problem}; write {valid.expected}")
     return value
 
 
 def not_negative(text: str) -> float:
     """A finite number of at least 0."""
-    if (value := finite(text)) < 0.0:
-        raise ArgumentTypeError(f"{text} is below 0")
-    return value
+    return finite(text, _NOT_NEGATIVE)
 
 
 def positive(text: str) -> float:
     """A finite number above 0."""
-    if (value := finite(text)) <= 0.0:
-        raise ArgumentTypeError(f"{text} is not above 0")
-    return value
+    return finite(text, _POSITIVE)
 
 
 def count(text: str) -> int:
     """A whole number of at least 1."""
-    if not (value := positive(text)).is_integer():
-        raise ArgumentTypeError(f"{text} is not a whole number")
-    return int(value)
+    return int(finite(text, _COUNT))

@@ -101,7 +101,7 @@ def test_only_the_named_axis_moves() -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [("0", "0 is not above 0"), ("-1", "-1 is not above 0")]
+    [("0", "'0' is too small; write a number above 0"), ("-1", "'-1' is too small")]
     + [(value, f"'{value}' is not a finite number") for value in ("nan", "inf", "soon")],
 )
 @pytest.mark.parametrize("verb", ["move", "bench"])
