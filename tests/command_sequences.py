@@ -81,7 +81,7 @@ GOAL_ERROR: Final = 0.03
 Tolerances = Literal["shipped", "path", "none"]
 
 _CONSTRAINTS: Final = {
-    "shipped": Constraints(0.0, 0.02, 0.5, 0.5),  # of ros2_controllers.yaml
+    "shipped": Constraints(42.0, 0.02, 0.5, 0.5),  # of ros2_controllers.yaml
     "path": Constraints(0.5, 0.02, 0.5, 0.5),
     "none": Constraints(),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
+from bench import stream_delay
 from command_sequences import EVENTS, GOAL_ERROR, SETUP_VALUES, STEP_VALUES, CommandSequence, Setup, Step
 from controllers.controllers import SUCCESSFUL
 from hypothesis import HealthCheck, Phase, given, settings
@@ -88,6 +89,15 @@ def test_goals_are_reached(baud: int, rate: float, gear_ratio: float, direction:
     violations, results = sequence.run(), sequence.results
     assert not violations, sequence.log
     assert results == [SUCCESSFUL] * 3
+
+
+@pytest.mark.parametrize(("baud", "delay"), [(115_200, 0.052), (1_000_000, 0.043)])
+def test_delay_of_a_stream_is_that_of_the_document(baud: int, delay: float) -> None:
+    """At 100 Hz; the lag is the one from which the tolerance of ros2_controllers.yaml is calculated."""
+    measured = stream_delay.measure(baud, 100.0)
+    assert measured.delay < delay
+    assert measured.lag < 0.1
+    assert measured.stamp_error < 1e-3
 
 
 def test_velocity_controller_turns_the_joint() -> None:

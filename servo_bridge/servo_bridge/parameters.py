@@ -126,7 +126,8 @@ _SETTINGS: Mapping[str, Spec] = {
     ),
     "stream_delay_max": spec(
         0.0,
-        "longest delay for the compensation of jitter and loss of streamed set-points [s]; 0.0: one period of them",
+        "longest delay for the compensation of jitter and loss of streamed set-points [s]; 0.0: one period of them "
+        "and up to 0.02 s of jitter",
         0.0,
         1.0,
     ),

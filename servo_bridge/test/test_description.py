@@ -25,6 +25,9 @@ def test_the_shipped_controllers_move_the_joints_of_the_shipped_description() ->
     assert expected["joints"] == joint_names(joints_of(description_from_file()))
     assert set(expected["constraints"]) >= set(expected["joints"])
     assert set(expected["command_interfaces"]) == {"position", "velocity"}
+    for joint in joints_of(description_from_file()):
+        tolerance = expected["constraints"][joint.name]["trajectory"]  # 0.1 s, ros2_control.md
+        assert tolerance == pytest.approx(0.1 * joint.limits.velocity_max, abs=0.2)
 
 
 def test_joints_and_topics_follow_the_file_and_the_namespace(tmp_path: Path) -> None:

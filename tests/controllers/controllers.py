@@ -180,7 +180,7 @@ class JointTrajectoryController:
         constraints = self._constraints
         violated = outside = False
         for k in range(len(self._joints)):
-            error, speed_error = self._errors(k)
+            error, speed_error = self.error(k)
             if (not following.finished or first) and not self._holding:
                 violated |= 0.0 < constraints.trajectory < abs(error)
             if following.finished and not self._holding:
@@ -191,6 +191,12 @@ class JointTrajectoryController:
             self._command(following.state)
             self._last, self._last_time = following.state, time
         self._conclude(violated, following.finished, outside, late)
+
+    def error(self, k: int) -> tuple[float, float]:
+        """Errors of position [rad] and velocity [rad/s] of a joint, as the controller sees them."""
+        actual, desired = self._measured.positions[k], self._desired.positions[k]
+        error = shortest_distance(actual, desired) if self._continuous[k] else desired - actual
+        return error, self._desired.velocities[k] - self._measured.velocities[k]
 
     def _conclude(self, violated: bool, finished: bool, outside: bool, late: bool) -> None:
         if violated:
@@ -207,12 +213,6 @@ class JointTrajectoryController:
             if self._goal:
                 self._finish(GOAL_TOLERANCE_VIOLATED)
             self._hold_measured()
-
-    def _errors(self, k: int) -> tuple[float, float]:
-        """Errors of position and velocity of a joint."""
-        actual, desired = self._measured.positions[k], self._desired.positions[k]
-        error = shortest_distance(actual, desired) if self._continuous[k] else desired - actual
-        return error, self._desired.velocities[k] - self._measured.velocities[k]
 
     def _hold_measured(self) -> None:
         self._new = Trajectory([Point(self._measured.positions, (0.0,) * len(self._joints))])

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 
+JITTER_MAX = 0.02
+"""Largest jitter that is compensated by default [s]."""
+
 _WINDOW = 128
 """Number of messages in the estimates."""
 
@@ -41,15 +44,14 @@ class PlayoutClock:
 
     The smallest transit time in a window is the clock offset (including the smallest delay); the spread of the other
     transit times is the jitter. Each message is needed one period after the previous one, so the delay is period plus
-    jitter, limited to `delay_max`; with the default limit jitter is not compensated. The delay changes slowly, so that
-    the motion neither jumps nor stops.
+    jitter, within a bound. The delay changes slowly, so that the motion neither jumps nor stops.
 
     Parameters
     ----------
     lead : float
         Time before its due time at which a point is fetched [s].
     delay_max : float, optional
-        Bound of the delay without the lead [s]; default: one period of the stream.
+        Bound of the delay without the lead [s]; default: one period of the stream, and up to `JITTER_MAX` of jitter.
     """
 
     def __init__(self, lead: float, delay_max: float | None = None) -> None:
@@ -102,7 +104,7 @@ class PlayoutClock:
     @property
     def bound(self) -> float:
         """Bound of the delay without the lead [s]."""
-        return self.period if self._delay_max is None else self._delay_max
+        return self.period + min(self.jitter, JITTER_MAX) if self._delay_max is None else self._delay_max
 
     @property
     def delay_target(self) -> float:

@@ -40,7 +40,7 @@ _MEMORY = 1.0
 """Time constant with which earlier velocities and accelerations of the messages are forgotten [s]."""
 
 _REST, _REST_SPEED = 1.0e-4, 1.0e-2
-"""Distance to the stopped reference [rad] and velocity [rad/s] of the motor, below which it is brought to rest."""
+"""Distance to the resting reference [rad] and velocity [rad/s] of the motor, below which it is brought to rest."""
 
 
 class Stream:
@@ -59,7 +59,7 @@ class Stream:
     begin : int
         Earliest point [PWM periods].
     delay_max : float, optional
-        Bound of the delay and of the extrapolation [s]; default: one period of the stream.
+        Bound of the delay and of the extrapolation [s]; default: see `PlayoutClock`.
     gear_ratio : float
         Turns of the motor per turn of the joint.
 
@@ -80,6 +80,7 @@ class Stream:
         self._gear_ratio = gear_ratio
         self._tick = begin
         self._begins = self._ends = False
+        self._bridged = 0.0  # time for which the reference continues after the newest message [s]
         self._fastest = self._strongest = 0.0  # of the messages in the last second [rad/s], [rad/s^2]
         self._messages: list[tuple[float, float, float | None, float]] = []
         """Stamp, position, velocity and effort; in the order of stamps."""
@@ -103,6 +104,7 @@ class Stream:
             self.clock.reset()
             self._messages.clear()
         self.clock.add_message(stamp, arrival)
+        self._bridged = self.clock.bound + self.clock.lead
         if not self.moving:
             self._tick = max(math.ceil((arrival + self.clock.lead) / PERIOD), self._tick)
             self.moving = self._begins = True
@@ -150,6 +152,7 @@ class Stream:
         position, velocity, _, _ = self._reference(stamp)
         _, ahead, effort, self._ends = self._reference(stamp + rate * h)
         rest, may_rest = tracker.stopped(h)
+        arrival = tracker.permitted(position)
         fastest = CATCH_UP * self._fastest + _CATCH_UP_SPEED if self._fastest else math.inf
         strongest = max(CATCH_UP * self._strongest, fastest / _CATCH_UP_TIME)
         tracker.advance(
@@ -158,8 +161,11 @@ class Stream:
         speed = max(map(abs, (tracker.velocity, velocity, ahead)))
         distance = abs(rest - position)
         near = max(distance / _REST, speed / _REST_SPEED) * self._gear_ratio < 1.0
-        if self._ends and may_rest and near:
+        if may_rest and near and self._ends:
             self.moving, tracker.position, tracker.velocity = False, rest, 0.0
+        elif may_rest and near and not (velocity or ahead):
+            # Between points closer than the rounding of the board a segment with a velocity would swing to both sides.
+            tracker.position, tracker.velocity = arrival, 0.0
         self._out.append((self._tick, tracker.position, tracker.velocity, effort))
 
     def _reference(self, stamp: float) -> tuple[float, float, float, bool]:
@@ -171,7 +177,7 @@ class Stream:
         k = max(k, 0)
         begin, position, _, effort = self._messages[k]
         velocity = self._velocity(k)
-        beyond = min(stamp - begin, self.clock.bound + self.clock.lead)
+        beyond = min(stamp - begin, self._bridged)
         position += velocity * beyond
         braking = stamp - begin - beyond
         deceleration = math.copysign(deceleration, velocity)

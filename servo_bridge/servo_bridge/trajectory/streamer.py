@@ -32,8 +32,15 @@ _AT_REST: Final = 1.0e-9
 """Velocity [rad/s] and acceleration [rad/s^2] below which a joint is at rest."""
 
 
-_MARGIN: Final = 0.008
-"""Required margin before the due time of the first point; below it the lead is increased [s]."""
+_MARGIN: Final = 0.02
+"""Margin that remains when the lead decreases, from the effect of a write to its first point: the segment that ends at
+the point, 10 ms, and delays of the computer [s]."""
+
+_MARGIN_RELEASE: Final = 0.002
+"""Rate at which an observed small margin is forgotten, and largest decrease of the lead per time [s/s]."""
+
+_MARGIN_MIN: Final = 0.008
+"""Margin below which the lead is increased; less than a segment, because the first write of a stream has less [s]."""
 
 _REFUSED: Final = 0.01
 """Increase of the lead after the board has refused points of a joint [s]."""
@@ -41,12 +48,12 @@ _REFUSED: Final = 0.01
 _LEAD_MAX: Final = 0.2
 """Largest lead [s]."""
 
-_LEAD_DECAY: Final = 0.0001
-"""Decrease of the lead per time, down to its initial value [s/s]."""
+_FLOOR_DECAY: Final = 0.0001
+"""Rate at which it is forgotten that a smaller lead was too small [s/s]."""
 
 
 def stream_lead(baud: int) -> float:
-    """Initial time before its due time at which a point of a stream is sent [s].
+    """Time before its due time at which a point of a beginning stream is sent [s].
 
     Terms: the segment that ends at the point, 10 ms; the lead of the board, 1.5 ms; the check of eight points, 5 ms;
     the remainder of 27 ms is for the computer. Line, 450 bytes: a sample (83 bytes), a preceding write of eight points
@@ -82,7 +89,8 @@ class _Joint:
 class Streamer:
     """Converts streamed set-points to paths of a follower.
 
-    The lead adapts to line and computer: it grows if points arrive late at the board, and decreases slowly.
+    The lead adapts to line and computer: it increases at once if points arrive late at the board, and decreases slowly
+    as long as all of them arrive early, but not to a value that was too small.
 
     Parameters
     ----------
@@ -91,9 +99,9 @@ class Streamer:
     follower : Follower
         Sends the points to the board.
     lead : float
-        Smallest lead, see `stream_lead` [s].
+        Lead at the begin of a stream, see `stream_lead` [s].
     delay_max : float, optional
-        Bound of the delay that bridges jitter and loss [s]; default: one period of the stream.
+        Bound of the delay that bridges jitter and loss [s]; default: see `PlayoutClock`.
     """
 
     def __init__(
@@ -104,7 +112,10 @@ class Streamer:
         self._margins = [follower.count / joint.gear_ratio for joint in joints]
         """Distance of a stream from the position limits, for the rounding of points [rad]."""
         self._follower = follower
-        self._lead = self._lead_min = lead
+        self._lead = self._lead_begin = lead
+        self._floor = 0.0  # below this the lead was too small [s]
+        self._margin = _MARGIN  # smallest margin in memory [s]
+        self._arrived = math.inf  # time of the last margin [s]
         self._delay_max = delay_max
         self._advanced = -math.inf
         self._streams: dict[int, _Joint] = {}
@@ -135,6 +146,7 @@ class Streamer:
             else:
                 _feed(mine.stream, stamp, arrival, point)
         if new:
+            self._lead = max(self._lead, self._lead_begin)
             self._request_axes(new)
 
     def streams(self, axis: int) -> bool:
@@ -144,7 +156,6 @@ class Streamer:
 
     def advance(self, now: float) -> None:
         """Pass the points on that are due at a time [s]."""
-        self._lead = max(self._lead_min, self._lead - _LEAD_DECAY * min(max(now - self._advanced, 0.0), 1.0))
         self._advanced = now
         for axis, mine in self._streams.items():
             joint = self._joints[axis]
@@ -158,7 +169,21 @@ class Streamer:
 
     def arrived(self, margin: float) -> None:
         """Adapt the lead to the time between the effect of a write and its first point [s]."""
-        self._lead = max(self._lead, min(self._lead + _MARGIN - margin, _LEAD_MAX))
+        if margin < _MARGIN_MIN:
+            self._increase_lead(_MARGIN_MIN - margin)
+        if not self._streams:
+            return  # the margin of a trajectory
+        elapsed = min(max(self._advanced - self._arrived, 0.0), 1.0)
+        self._arrived = self._advanced
+        self._floor = max(self._floor - _FLOOR_DECAY * elapsed, 0.0)
+        self._margin = min(self._margin + _MARGIN_RELEASE * elapsed, margin)
+        spare = min(self._margin - _MARGIN, self._lead - self._floor)
+        if spare > 0.0:
+            self._lead -= spare
+            self._margin -= spare
+
+    def _increase_lead(self, by: float) -> None:
+        self._lead = self._floor = min(self._lead + by, max(self._lead, _LEAD_MAX))
 
     @property
     def report(self) -> StreamReport | None:
@@ -205,7 +230,7 @@ class Streamer:
 
         def abandoned(reason: str) -> None:
             if reason == POINTS_REFUSED:
-                self._lead = min(self._lead + _REFUSED, _LEAD_MAX)
+                self._increase_lead(_REFUSED)
 
         self._follower.request(joints, plan, PathEvents(begun, refused, abandoned))
 

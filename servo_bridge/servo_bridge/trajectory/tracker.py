@@ -68,6 +68,10 @@ class Tracker:
         w = a * (math.sqrt(h * h + 2.0 * room / a) - h)
         return min(u, (w - velocity) / h)
 
+    def permitted(self, position: float) -> float:
+        """Position within the limits that is closest to a position [rad]; from outside no further out."""
+        return min(max(position, min(self.position_min, self.position)), max(self.position_max, self.position))
+
     def stopped(self, step: float) -> tuple[float, bool]:
         """Final position of a constant deceleration to rest within one step [rad], and whether it is within the limit.
 
