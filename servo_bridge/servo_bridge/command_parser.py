@@ -17,6 +17,8 @@ QUANTITIES: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 
 PATH_VERBS: Final = ("move", "follow", "sine")
 
+_METHODS: Final = [name.replace("_", "-") for name in topics.HOME_METHODS if name != "here"]
+
 
 def _target(unit: str) -> Callable[[str], tuple[str, float]]:
     """Parser of a joint with a value in a unit."""
@@ -77,7 +79,11 @@ def command_parser() -> argparse.ArgumentParser:
     homer = verbs.add_parser("home", help="home a joint to a hard stop or a home switch (the joint moves)")
     homer.add_argument("joint", metavar="JOINT")
     homer.add_argument(
-        "--method", required=True, choices=[name.replace("_", "-") for name in topics.HOME_METHODS if name != "here"]
+        "--method",
+        required=True,
+        metavar="METHOD",
+        choices=_METHODS,
+        help=", ".join(_METHODS),
     )
     homer.add_argument(
         "--position",

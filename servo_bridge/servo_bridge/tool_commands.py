@@ -146,6 +146,10 @@ def set_variable(context: Context) -> int:
     after = context.session.read(variable)
     old, new = (value_text(variable, _element(v, element), context.catalogue) for v in (before, after))
     print(f"{args.name} = {new} (was {old})")
+    stored = variable.encode(numbers(after)[element or 0 :][: len(values)], element or 0)[1]
+    if variable.name.startswith(board_parameters.PREFIX) and stored != data:  # the board itself changes commands
+        print(f"servo-tool: the board has another value of {args.name} than the written one", file=sys.stderr)
+        return 1
     return 0
 
 

@@ -182,6 +182,21 @@ def test_set_writes_and_shows_the_value_before(
     ]  # fmt: skip
 
 
+def test_parameter_that_the_board_changes_is_an_error(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = fake_board.on_write
+    assert recorded is not None
+
+    def changed(address: int, data: bytes) -> None:
+        recorded(address, data)
+        fake_board.put("param.host_timeout", 4000)
+
+    fake_board.on_write = changed
+    assert run("set", "param.host_timeout", "0.2") == 1
+    assert "the board has another value of param.host_timeout than the written one" in capsys.readouterr().err
+
+
 def test_flags_are_set_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo) -> None:
     assert run("set", "param.features", "dead_time + FRICTION,none") == 0
     assert fake_board.get("param.features") == [0b11000, 0]

@@ -154,6 +154,18 @@ def test_a_recording_is_written_for_rerun(servo: FakeServo, run: Run, tmp_path: 
     assert file.read_bytes().startswith(b"RRF")
 
 
+@pytest.mark.parametrize("suffix", ["csv", "npz", "png", "svg", "rrd"])
+def test_full_disk_is_an_error_without_a_traceback(
+    servo: FakeServo, run: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    file = tmp_path / f"burst.{suffix}"
+    file.symlink_to("/dev/full")
+    assert run("record", "axis1.i_q", "--points", "20", "-o", str(file)) == 1
+    error = capfd.readouterr().err
+    assert "No space left on device" in error
+    assert "Traceback" not in error
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [

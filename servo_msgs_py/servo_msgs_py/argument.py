@@ -1,9 +1,11 @@
-"""Numbers on a command line, as types for `argparse`."""
+"""Numbers on a command line, as types for `argparse`, and the layout of its help."""
 
 from __future__ import annotations
 
 import math
-from argparse import ArgumentTypeError
+import re
+import textwrap
+from argparse import ArgumentTypeError, HelpFormatter
 from typing import Final
 
 from servo_msgs_py.quantity import ABOVE_0, Quantity
@@ -38,3 +40,16 @@ def positive(text: str) -> float:
 def count(text: str) -> int:
     """A whole number of at least 1."""
     return int(finite(text, _COUNT))
+
+
+class ParagraphFormatter(HelpFormatter):
+    """Formatter that fills each paragraph of a description on its own, and keeps those with indented lines."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        paragraphs = re.split(r"\n\s*\n", textwrap.dedent(text).strip())
+        return "\n\n".join(
+            textwrap.indent(paragraph, indent)
+            if re.search(r"^\s", paragraph, re.MULTILINE)
+            else super(ParagraphFormatter, self)._fill_text(paragraph, width, indent)
+            for paragraph in paragraphs
+        )

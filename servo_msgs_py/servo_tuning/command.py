@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
 from servo_msgs_py.figure import PictureError
@@ -39,7 +40,7 @@ README.md in the directory of this tool has the details."""
 
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line; the default command is ``generate``."""
-    layout = argparse.RawDescriptionHelpFormatter
+    layout = ParagraphFormatter
     result = argparse.ArgumentParser(prog="tune.py", description=_ABOUT, epilog=_EPILOG, formatter_class=layout)
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument(

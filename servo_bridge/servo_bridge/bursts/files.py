@@ -11,7 +11,7 @@ import numpy as np
 from servo_msgs_py.figure import new_figure, write_figure
 
 from servo_bridge.bursts.burst import Burst
-from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
+from servo_bridge.bursts.rerun_log import entity_of, import_rerun, recording_file, send_curve
 from servo_bridge.tool_values import UsageError
 
 _TIMELINE: Final = "time"
@@ -50,19 +50,17 @@ def write_picture(burst: Burst, path: Path) -> None:
 
 def write_recording(burst: Burst, path: Path) -> None:
     """Write a recording for the rerun viewer: one entity per channel, on the timeline ``time``."""
-    rr = import_rerun(f"{path.name}: a recording")
-    recording = rr.RecordingStream("servo-tool", send_properties=False)
-    recording.save(path)
-    index = (
-        rr.TimeColumn(_TIMELINE, duration=burst.times)
-        if burst.timed
-        else rr.TimeColumn(_TIMELINE, sequence=burst.times.astype(np.int64))
-    )
-    for channel, column in zip(burst.channels, burst.values, strict=True):
-        entity = entity_of(channel.name.split("."))
-        recording.log(entity, rr.SeriesLines(names=channel.head), static=True)
-        send_curve(recording, entity, index, column)
-    recording.flush()
+    with recording_file("servo-tool", path) as recording:
+        rr = import_rerun(path.name)
+        index = (
+            rr.TimeColumn(_TIMELINE, duration=burst.times)
+            if burst.timed
+            else rr.TimeColumn(_TIMELINE, sequence=burst.times.astype(np.int64))
+        )
+        for channel, column in zip(burst.channels, burst.values, strict=True):
+            entity = entity_of(channel.name.split("."))
+            recording.log(entity, rr.SeriesLines(names=channel.head), static=True)
+            send_curve(recording, entity, index, column)
 
 
 _WRITERS: Final[Mapping[str, Callable[[Burst, Path], None]]] = {

@@ -6,7 +6,9 @@ rerun is imported at its first use: other functions work without it.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,6 +43,33 @@ def import_rerun(user: str) -> ModuleType:
     except ImportError as error:
         raise RerunMissingError(f"{user} needs rerun ({error}): pip install 'rerun-sdk==0.41.*'") from None
     return rerun
+
+
+@contextmanager
+def recording_file(application: str, path: Path) -> Iterator[Any]:
+    """Stream of a recording that is written to a file at the end.
+
+    rerun would write it itself, but on a full disk its `flush` and the end of the program wait for ever.
+
+    Parameters
+    ----------
+    application : str
+        Name of the application in the file.
+    path : Path
+        File; an existing one is replaced.
+
+    Raises
+    ------
+    RerunMissingError
+        If rerun is not installed.
+    OSError
+        If the file cannot be written.
+    """
+    rr = import_rerun(f"{path.name}: a recording")
+    stream = rr.RecordingStream(application, send_properties=False)
+    data = stream.binary_stream()
+    yield stream
+    path.write_bytes(data.read() or b"")
 
 
 def entity_of(parts: Sequence[str]) -> str:

@@ -31,6 +31,8 @@ _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 _NOT_OPENED: Final = (errno.ENOENT, errno.EACCES, errno.EISDIR, errno.ENOTDIR, errno.EPERM, errno.ENAMETOOLONG)
 
+_NOT_WRITTEN: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
 P = ParamSpec("P")
 Handler = Callable[[int, FrameType | None], None]
 
@@ -163,7 +165,7 @@ def _flushed(name: str) -> int:
 
 
 def _report(name: str, error: OSError) -> int:
-    where = error.filename or ("output" if error.errno == errno.ENOSPC else "")
+    where = error.filename or ("output" if error.errno in _NOT_WRITTEN else "")
     complain(f"{name}: {f'{where}: ' if where else ''}{error.strerror or error}")
     return 2 if error.errno in _NOT_OPENED else 1
 

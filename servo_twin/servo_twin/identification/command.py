@@ -14,6 +14,7 @@ from typing import Any, Final, get_args
 from servo_measurement.access import MeasurementError
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_values import Limits
+from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_msgs_py import argument
@@ -34,10 +35,14 @@ Identify the motor: resistance, inductances, flux, pole pairs, inertia, friction
 switches, delay, with 95 % intervals. The axis moves automatically, within the limits. Only the voltage of the bus and
 the permitted motor current must be known.
 
-  servo-sim identify --axis 1 --voltage 24 --current 4          a virtual board, with the motor of --plant
-  servo-sim identify --motor 17                                 a virtual board with a random motor
-  servo-sim identify --recording out/identify/measurement.npz   a recording of servo-tool identify
-  servo-sim identify --trials 200 --level registers             errors for random motors
+  a virtual board, with the motor of --plant:
+      servo-sim identify --axis 1 --voltage 24 --current 4
+  a virtual board with a random motor:
+      servo-sim identify --motor 17
+  a recording of servo-tool identify:
+      servo-sim identify --recording out/identify/measurement.npz
+  errors for random motors:
+      servo-sim identify --trials 200 --level registers
 
 Output files: measurement.npz (not with --recording), estimates.json, identify.png; if all values are determined,
 plant.toml for the twin, and, if there are gains for this motor, servo.toml for the controller; otherwise exit status 1
@@ -53,7 +58,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common, levelled],
         help="identify motor, shaft and inverter of an axis",
         description=_HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=ParagraphFormatter,
     )
     defaults = {field.name: field.default for field in dataclasses.fields(Limits)}
     parser.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")

@@ -31,7 +31,9 @@ class Runner:
         """Add the common options of commands that run many boards."""
         group = parser.add_mutually_exclusive_group()
         group.add_argument("--workers", type=argument.count, metavar="N", help="processes (default: one per core)")
-        group.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="run on the Dask cluster of this scheduler")
+        group.add_argument(
+            "--scheduler", metavar="URL", help="run on the Dask cluster of this scheduler, such as tcp://HOST:PORT"
+        )
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> Runner:

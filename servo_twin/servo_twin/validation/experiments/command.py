@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.argument import ParagraphFormatter
+
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -42,7 +44,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
             parents=[common, levelled],
             help=_first_sentence(entry.help).replace("%", "%%"),
             description=entry.help,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=ParagraphFormatter,
         )
         if entry.add_options is not None:
             entry.add_options(parser)
@@ -63,7 +65,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common],
         help="run all experiments at both levels of the board and compare them",
         description=levels.HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=ParagraphFormatter,
     )
     both.add_argument(
         "--only",

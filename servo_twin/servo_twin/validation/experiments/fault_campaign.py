@@ -332,7 +332,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--trial", type=int, nargs="+", metavar="K", help="run only these trials and print their results"
     )
     parser.add_argument(
-        "--motors", nargs="+", choices=MOTORS, default=MOTORS, help="only these motors (changes the trials)"
+        "--motors",
+        nargs="+",
+        metavar="NAME",
+        choices=MOTORS,
+        default=MOTORS,
+        help="only these motors: %(choices)s (changes the trials)",
     )
     Runner.add_options(parser)
 

@@ -15,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.runtime.program import Interrupted
 
 from servo_msgs_py import argument
@@ -36,7 +37,8 @@ Run an experiment on many boards with varied values of the plant file (plant.axi
 servo.toml (servo.axis1.control.speed_bandwidth), or of the board parameters (param.i_q_limit[0]), and collect the
 figures.
 
-  servo-sim sweep move --vary "plant.axis1.inertia=*0.3..3 log" --vary "plant.bus.u_source=20..28" --count 1000
+  servo-sim sweep move --vary "plant.axis1.inertia=*0.3..3 log" \\
+      --vary "plant.bus.u_source=20..28" --count 1000
 
 {SYNTAX}
 
@@ -66,7 +68,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common, levelled],
         help="run an experiment on many boards with varied values",
         description=_HELP.replace("%", "%%"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=ParagraphFormatter,
     )
     parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
     parser.add_argument(

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.figure import new_figure, write_figure
 from tqdm import tqdm
 
@@ -24,7 +25,8 @@ from servo_twin.validation.sweep.variant import Base
 _HELP: Final = f"""\
 Optimise values of servo.toml for the worst case of a set of plants.
 
-  servo-sim tune-robust move --tune "servo.axis1.control.speed_bandwidth=20..120 log" \\
+  servo-sim tune-robust move \\
+      --tune "servo.axis1.control.speed_bandwidth=20..120 log" \\
       --over "plant.axis1.inertia=*0.5..3 log" --minimize "axis1 settling time"
 
 Each candidate runs the experiment on the nominal plant and on all others. Printed are the present gains, the Pareto
@@ -45,7 +47,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common, levelled],
         help="optimise gains for a set of plants",
         description=_HELP.replace("%", "%%"),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=ParagraphFormatter,
     )
     parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
     parser.add_argument(

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
@@ -161,7 +162,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         parents=[common],
         help="timing of both motors on one chip",
         description=HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=ParagraphFormatter,
     )
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="file for a picture of F34 with the deadlines, F35, F38 and the start"

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.text_file import parse_toml, read_text, read_toml
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
@@ -146,7 +147,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         parents=[common],
         help="pulse widths at the scope pins; calibrate the core with measured widths",
         description=HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=ParagraphFormatter,
     )
     result.add_argument("--measured", type=Path, metavar="FILE", help="mean widths of a board (TOML)")
     result.add_argument("--core", type=Path, default=DEFAULT_FILE, help="core file (default: the packaged one)")
