@@ -2,6 +2,7 @@
 
     .venv/bin/python tests/command_campaign.py --processes 2            # 14641 sequences
     .venv/bin/python tests/command_campaign.py --first 14641            # the same events with other values
+    .venv/bin/python tests/command_campaign.py --first 800 --minutes 30 # from 800 on, as many as there is time for
     .venv/bin/python tests/command_campaign.py --show 1234              # one of them, with the log of the bridge
 
 Exit status 1: a motion was not permitted.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import random
 import sys
 import time
@@ -25,7 +27,7 @@ COUNT = len(EVENTS) ** LENGTH
 STRIDE = 7919
 """Prime: consecutive numbers have different events, and COUNT numbers have all of them."""
 
-_PROGRESS = 200
+_PROGRESS = 50
 """Sequences between two reports."""
 
 
@@ -48,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--first", type=int, default=0, metavar="NUMBER")
     parser.add_argument("--count", type=int, default=COUNT)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no sequence after this time")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--show", type=int, metavar="NUMBER")
     options = parser.parse_args(arguments)
@@ -57,10 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         violations = sequence.run()
         print(setup, *steps, *sequence.log, *violations, sep="\n")
         return 1 if violations else 0
-    begin, found = time.monotonic(), 0
+    begin, done, found = time.monotonic(), 0, 0
     with Pool(options.processes) as pool:
-        numbers = range(options.first, options.first + options.count)
-        for done, (number, violations) in enumerate(pool.imap_unordered(run, numbers, chunksize=8), 1):
+        for number, violations in pool.imap(run, range(options.first, options.first + options.count)):
+            done += 1
             if done % _PROGRESS == 0:
                 print(f"{done} of {options.count}, {found} with violations", file=sys.stderr, flush=True)
             if violations:
@@ -68,7 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 events = ", ".join(step.event for step in numbered(number)[1])
                 first = violations[0]
                 print(f"{number} ({events}): {first.time:.2f} s, axis {first.axis}: {first.text}", flush=True)
-    print(f"{found} of {options.count} sequences with violations, {time.monotonic() - begin:.0f} s")
+            if time.monotonic() - begin > 60.0 * options.minutes:
+                break
+    last = options.first + done - 1
+    print(f"{options.first} to {last}, {done} of {COUNT}: {found} with violations, {time.monotonic() - begin:.0f} s")
     return 1 if found else 0
 
 
