@@ -105,6 +105,7 @@ class Setup:
     gear_ratio: float = 1.0  # of both joints
     direction: int = 1  # of both joints
     running: bool = True  # begin enabled, with joints that a goal has moved
+    preferred_source: str = ""  # parameter of the bridge
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,7 @@ class CommandSequence:
             "gear_ratio": [setup.gear_ratio] * AXES,
             "direction": [setup.direction] * AXES,
             "wraps": [setup.joints == "angles"] * AXES,
+            "preferred_source": setup.preferred_source,
         }
         limit = LIMIT if setup.joints == "limited" else math.inf
         if setup.joints == "limited":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import pytest
 from bench import stream_delay
@@ -109,11 +110,27 @@ def test_velocity_controller_turns_the_joint() -> None:
     assert abs(after[1] - before[1] + 6.0) < 0.8
 
 
-def test_move_beside_an_active_controller_is_carried_out() -> None:
-    sequence = CommandSequence(Setup(), [Step("move", 1.5, distance=2.0)])
+def moved(sequence: CommandSequence) -> list[tuple[float, ...]]:
+    """Distances of each step [rad]."""
+    return [tuple(b - a for a, b in zip(*pair, strict=True)) for pair in pairwise(sequence.places)]
+
+
+def test_move_beside_an_active_controller_is_carried_out_and_its_next_goal_too() -> None:
+    sequence = CommandSequence(Setup(), [Step("move", 1.5, distance=2.0), Step("goal", 1.5)])
     assert not sequence.run(), sequence.log
-    before, after = sequence.places[-2:]
-    assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([-2.0, 2.0], abs=GOAL_ERROR)
+    assert moved(sequence) == [pytest.approx(each, abs=GOAL_ERROR) for each in ([-2.0, 2.0], [1.0, -1.0])]
+    assert sequence.results == [SUCCESSFUL] * 2
+    refusals = [line for line in sequence.log if "rejected, no motion" in line]
+    assert len(refusals) <= 4, refusals
+
+
+def test_move_beside_a_preferred_stream_is_refused_until_the_hardware_is_inactive() -> None:
+    steps = [Step("move", 1.3), Step("deactivate", 1.3), Step("move", 1.3)]
+    sequence = CommandSequence(Setup(preferred_source="joint_commands"), steps)
+    assert not sequence.run(), sequence.log
+    assert moved(sequence) == [pytest.approx(each, abs=GOAL_ERROR) for each in ([0, 0], [0, 0], [-1, 1])]
+    (refusal,) = (line for line in sequence.log if "joint_trajectory: joint_commands commands" in line)
+    assert "make the hardware inactive" in refusal
 
 
 def test_a_refused_trajectory_does_not_stop_a_stream() -> None:
