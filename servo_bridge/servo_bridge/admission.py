@@ -338,7 +338,7 @@ class Admission:
         """
         velocity, before = train.point.velocity or 0.0, train.before
         joined = place.holder == Source(self._topic, "trajectory")
-        if joined and place.streaming and before is not None and before.position is not None:
+        if joined and place.streaming and train.executed and before is not None and before.position is not None:
             fastest = max(abs(velocity), abs(before.velocity or 0.0))
             if train.point.velocity is None:
                 return

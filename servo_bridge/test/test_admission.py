@@ -123,6 +123,17 @@ def test_a_controller_that_sends_zero_first_moves_nothing(rate: float, velocity:
 
 
 @RATES
+def test_a_refused_path_is_not_continued_beside_a_stream_that_waits_for_messages(rate: float) -> None:
+    """The hardware is started again, with its commands at 0, while the joint still holds for the earlier stream."""
+    joint = Joint(3.0)
+    joint.train(held(3.0, 50), rate)
+    joint.wait(2.0 * GAP)
+    before = len(joint.executed)
+    joint.train(held(0.0, 50), rate)
+    assert joint.executed[before:] == []
+
+
+@RATES
 def test_a_path_from_an_old_reference_moves_nothing_and_one_from_the_joint_is_followed(rate: float) -> None:
     joint = Joint()
     joint.train(held(7.0, 100), rate)

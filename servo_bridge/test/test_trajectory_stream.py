@@ -297,6 +297,12 @@ def test_a_stream_brakes_in_time_before_a_position_limit(speed: float, side: flo
     assert (side * peaks[turned] <= limit + 1e-9).all()
 
 
+def test_a_stream_that_stops_at_a_position_limit_ends() -> None:
+    stream = Stream(Tracker(0.0, 0.0, LIMIT, position_min=-1.0, position_max=1.0), LEAD, 0)
+    fetched(stream, [(t, 4.0 * t, 4.0) for t in np.arange(0.0, 0.24, 0.01).tolist()], 1.5)
+    assert not stream.moving
+
+
 @given(
     st.floats(-3.0, 3.0), st.floats(-8.0, 8.0), st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=20),
     st.sampled_from([0.01, 0.005]),

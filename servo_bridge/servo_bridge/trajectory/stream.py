@@ -159,7 +159,7 @@ class Stream:
             position, rate * velocity, rate * (ahead - velocity) / h, h, fastest=fastest, strongest=strongest
         )
         speed = max(map(abs, (tracker.velocity, velocity, ahead)))
-        distance = abs(rest - position)
+        distance = abs(rest - arrival)
         near = max(distance / _REST, speed / _REST_SPEED) * self._gear_ratio < 1.0
         if may_rest and near and self._ends:
             self.moving, tracker.position, tracker.velocity = False, rest, 0.0
