@@ -27,6 +27,10 @@ PYTEST = $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS)
 REALTIME := --timeout 120 -o faulthandler_timeout=180 -o cache_dir=.pytest_cache/realtime
 # Only their files are collected, unless PYTEST_ARGS may name others.
 REALTIME_FILES = $(if $(PYTEST_ARGS),,$(shell grep -rl --include='test_*.py' 'mark\.realtime' firmware $(PACKAGES) tests))
+# What the programs import.
+IMPORTED := matplotlib.figure, rerun.blueprint, servo_bridge.command_paths, servo_bridge.demo, servo_bridge.motions, \
+            servo_bridge.node, servo_bridge.tool, servo_twin.node, servo_twin.up, servo_twin.viewer_node, \
+            servo_twin.virtual_board
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache, where
 # the compiler lists the headers (-MD) without a run of the preprocessor; without link-time optimisation the rest takes a
 # fourth of the time. The numbers are the same bits. It is the cache of the user: another checkout finds the same files.
@@ -218,6 +222,8 @@ $(VENV)/.created:
 # The packages are installed while the C is compiled: one waits for the network, the other for the processor.
 $(VENV)/.native: $(VENV)/.created Makefile constraints.txt $(METADATA) $(NATIVE)
 	@$(MAKE) --no-print-directory --jobs=3 $(VENV)/.packages $(BOARDS)
+	@# With PYTHONDONTWRITEBYTECODE each program would compile these at every start, which takes as long as the rest of it.
+	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -c 'import $(IMPORTED)'
 	@touch $@
 
 $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
