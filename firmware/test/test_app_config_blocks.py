@@ -43,7 +43,7 @@ def take(bench: BlockBench, *axes: int) -> None:
 
 def other(member: Member, raw: int) -> int:
     """Another permitted number of the member, if one exists."""
-    return member.maximum if raw != member.maximum else member.minimum
+    return member.raw_range[1] if raw != member.raw_range[1] else member.raw_range[0]
 
 
 def refusal(bench: BlockBench) -> int:
@@ -73,7 +73,7 @@ def test_any_block_within_the_ranges_comes_back_as_it_was_sent(core: Core, data:
     bench.to_stop()
     axis = data.draw(st.integers(0, 1))
     kept = read_block(bench, 1 - axis)
-    block = {m.path: data.draw(st.integers(m.minimum, m.maximum)) & (m.maximum if m.bits else -1) for m in MEMBERS}
+    block = {m.name: data.draw(st.integers(*m.raw_range)) & (m.raw_range[1] if m.bits else -1) for m in MEMBERS}
     send_block(bench, axis, block)
     assert read_block(bench, axis) != block or kept == block, "nothing is applied yet"
     before = bench.read_words("tick")[0]
@@ -109,15 +109,17 @@ def test_an_invalid_header_is_refused(bench: BlockBench, change: Callable[[list[
         assert read_block(bench, 0) == old
 
 
-@pytest.mark.parametrize("member", [m for m in MEMBERS if m.maximum < 2**31 - 1 or m.minimum > 0], ids=lambda m: m.path)
+@pytest.mark.parametrize(
+    "member", [m for m in MEMBERS if m.raw_range[1] < 2**31 - 1 or m.raw_range[0] > 0], ids=lambda m: m.name
+)
 def test_a_member_out_of_range_is_refused(bench: BlockBench, member: Member) -> None:
-    number = list(TABLE.members).index(member.path)
-    wrong = [raw for raw in (member.minimum - 1, member.maximum + 1) if -(2**31) <= raw < 2**31]
+    number = list(TABLE.members).index(member.name)
+    wrong = [raw for raw in (member.raw_range[0] - 1, member.raw_range[1] + 1) if -(2**31) <= raw < 2**31]
     for raw in wrong:
         assert not bench.write_words("config.window", [0, number, 1, raw])
         assert refusal(bench) == REFUSALS["RANGE"]
         assert bench.read_words("config.refused_member") == [number]
-    for raw in (member.minimum, member.maximum):
+    for raw in member.raw_range:
         assert bench.write_words("config.window", [0, number, 1, raw])
 
 
@@ -181,19 +183,19 @@ def test_both_axes_apply_their_blocks_in_the_same_tick(bench: BlockBench) -> Non
 def test_in_motion_only_live_members_change(bench: BlockBench) -> None:
     bench.to_spin(0)
     old = read_block(bench, 0)
-    live = {m.path: other(m, old[m.path]) for m in MEMBERS if m.live}
+    live = {m.name: other(m, old[m.name]) for m in MEMBERS if m.live}
     send_block(bench, 0, {**old, **live})
     take(bench, 0)
     assert bench.axis(0).sm.state == STATE.RUN
     for member in MEMBERS:
         now = read_block(bench, 0)
-        if member.live or member.minimum == member.maximum:
+        if member.live or member.raw_range[0] == member.raw_range[1]:
             continue
-        send_block(bench, 0, {**now, member.path: other(member, now[member.path])})
+        send_block(bench, 0, {**now, member.name: other(member, now[member.name])})
         with pytest.raises(BlockRefusedError, match="at standstill") as error:
             take(bench, 0)
         assert error.value.reason == "MOTION"
-        assert member.path in str(error.value)
+        assert member.name in str(error.value)
         assert read_block(bench, 0) == now
 
 

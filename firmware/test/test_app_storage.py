@@ -182,7 +182,7 @@ def test_all_values_are_restored_after_a_reset(core: Core, data: st.DataObject) 
     bench = StorageBench(core, erased())
     bench.to_stop()
     blocks = [
-        {m.path: data.draw(st.integers(m.minimum, m.maximum)) & (m.maximum if m.bits else -1) for m in MEMBERS}
+        {m.name: data.draw(st.integers(*m.raw_range)) & (m.raw_range[1] if m.bits else -1) for m in MEMBERS}
         for _ in range(2)
     ]
     for axis, block in enumerate(blocks):
@@ -393,7 +393,7 @@ def test_a_value_out_of_range_in_the_flash_invalidates_its_set(core: Core) -> No
     bench = StorageBench(core)
     place = HEAD
     limits = [v.raw_range for v in PARAMETERS for _ in range(v.count)]
-    limits += [(m.minimum, m.maximum) for _ in range(2) for m in MEMBERS]
+    limits += [m.raw_range for _ in range(2) for m in MEMBERS]
     refused = 0
     for place, (low, high) in enumerate(limits, HEAD):
         for wrong in (low - 1, high + 1):

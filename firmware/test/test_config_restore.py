@@ -109,6 +109,6 @@ def test_exact_numbers_out_of_the_range_of_the_board_are_refused(exact: object, 
 
 def test_the_tuning_code_refuses_a_motor_that_the_board_would_refuse() -> None:
     """25 pole pairs fit every format, but exceed a sum on the board."""
-    limit = AxisConfigTable.load().members["encoder.pole_pairs"].maximum
+    limit = AxisConfigTable.load().members["encoder.pole_pairs"].raw_range[1]
     with pytest.raises(ConfigError, match="axis1"):
         axis(1, axis1__motor__pole_pairs=limit + 1, axis1__motor__psi_m=0.001)

@@ -137,7 +137,7 @@ def test_winding_cools_down_to_the_temperature_of_its_surroundings(rig: Diagnosi
 @given(data=st.data())
 def test_any_accepted_configuration_stays_within_the_formats(rig: Diagnosis, data: st.DataObject) -> None:
     """All members within their ranges, any current and temperature: no overflow, and the limit is never exceeded."""
-    block = {path: data.draw(st.integers(m.minimum, m.maximum), path) for path, m in MEMBERS.items()}
+    block = {path: data.draw(st.integers(*m.raw_range), path) for path, m in MEMBERS.items()}
     model = Model(rig, block)
     raw = st.integers(-(2**15), 2**15 - 1)
     lowest = min(block[GROUP + "ambient"], block[GROUP + "initial"])
@@ -154,7 +154,10 @@ def test_any_accepted_configuration_stays_within_the_formats(rig: Diagnosis, dat
 
 def test_the_largest_losses_saturate(rig: Diagnosis) -> None:
     """At the ends of the ranges, with sanitizers: the temperature saturates at the end of its format."""
-    block = {path: m.maximum for path, m in MEMBERS.items()} | {GROUP + "ambient": -12800, GROUP + "initial": 32767}
+    block = {path: m.raw_range[1] for path, m in MEMBERS.items()} | {
+        GROUP + "ambient": -12800,
+        GROUP + "initial": 32767,
+    }
     model = Model(rig, block)
     model.steps(-8.25, -8.25, 3)
     assert model.state.temperature > 2**31 - 2**30

@@ -11,18 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.catalogue import FORMATS, Catalogue
+from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.stop_categories import REFUSED
 from servo_msgs_py.text_file import read_toml
-
-_TYPES: Final[Mapping[str, tuple[int, bool]]] = {
-    "int16": (2, True),
-    "uint16": (2, False),
-    "int32": (4, True),
-    "uint32": (4, False),
-}
 
 
 class AxisConfigError(ValueError):
@@ -37,33 +31,23 @@ class MemberRangeError(AxisConfigError):
         self.path = path  # of the member
 
 
-@dataclass(frozen=True)
-class Member:
-    """One number of a block."""
+@dataclass(frozen=True, kw_only=True)
+class Member(Quantity):
+    """One number of a block; its name is the C path below ``axis_config_t``."""
 
-    path: str  # C path below ``axis_config_t``
-    size: int  # bytes in the memory of the board and in the checksum
-    signed: bool  # whether its memory type is signed
-    minimum: int  # smallest raw number that the board accepts
-    maximum: int  # largest raw number that the board accepts
-    bits: bool  # whether it is a set of flags; `maximum` has all permitted bits set
+    bits: bool  # whether it is a set of flags; the largest raw number has all permitted bits set
     live: bool  # whether it may be changed during motion
-    lsb: float  # SI value of one raw unit
-    unit: str  # SI unit; empty for pure numbers
 
     def accepts(self, raw: int) -> bool:
-        """Whether the number is in the range that the board accepts."""
-        return self.minimum <= raw <= self.maximum and not (self.bits and raw & ~self.maximum)
+        """Whether the board accepts a raw number."""
+        low, high = self.raw_range
+        return low <= raw <= high and not (self.bits and raw & ~high)
 
-    def value(self, raw: int) -> float | int:
-        """SI value of a raw number; an integer if one raw unit is 1."""
-        return raw if self.lsb == 1.0 else raw * self.lsb
-
-    def text(self, raw: int) -> str:
+    def shown(self, raw: int) -> str:
         """Value and unit as text."""
         if self.bits:
             return f"{raw:#x}"
-        return f"{self.value(raw):.6g} {self.unit}".rstrip()
+        return f"{self.scale(raw):.6g} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -93,7 +77,7 @@ class AxisConfigTable:
             for path, entry in table["members"].items()
         }
         lines = "\n".join(
-            f"{m.path} {m.size} {m.signed} {m.minimum} {m.maximum} {m.bits} {m.live} {m.lsb!r}"
+            f"{m.name} {m.format.size} {m.format.signed} {m.raw_range[0]} {m.raw_range[1]} {m.bits} {m.live} {m.lsb!r}"
             for m in members.values()
         )
         return cls(members, zlib.crc32(lines.encode()))
@@ -127,9 +111,9 @@ class AxisConfigTable:
         """
         for path, member in self.members.items():
             if path in part and not member.accepts(part[path]):
-                low, high = (f"{member.value(bound):g}" for bound in (member.minimum, member.maximum))
-                allowed = f"bits of {member.maximum:#x}" if member.bits else f"{low} .. {high} {member.unit}".rstrip()
-                raise MemberRangeError(f"{path} = {member.text(part[path])}: allowed: {allowed}", path)
+                span = f"{member.minimum:g} .. {member.maximum:g} {member.unit}".rstrip()
+                allowed = f"bits of {member.raw_range[1]:#x}" if member.bits else span
+                raise MemberRangeError(f"{path} = {member.shown(part[path])}: allowed: {allowed}", path)
 
     def words(self, block: Mapping[str, int]) -> list[int]:
         """Raw numbers in the order of the table.
@@ -153,7 +137,7 @@ class AxisConfigTable:
         if len(words) != len(self):
             raise AxisConfigError(f"{len(words)} members, {len(self)} expected")
         result = {
-            member.path: word % (1 << 32) if not member.signed else word
+            member.name: word if member.format.signed else word % (1 << 32)
             for member, word in zip(self.members.values(), words, strict=True)
         }
         self.check(result)
@@ -168,7 +152,7 @@ class AxisConfigTable:
             As `check`.
         """
         self.check(block)
-        return b"".join(block[m.path].to_bytes(m.size, "little", signed=m.signed) for m in self.members.values())
+        return b"".join(member.pack([block[name]]) for name, member in self.members.items())
 
     def decode(self, data: bytes) -> dict[str, int]:
         """The block from the bytes of `encode`.
@@ -178,13 +162,13 @@ class AxisConfigTable:
         AxisConfigError
             If the number of bytes is wrong, or a member is out of range.
         """
-        size = sum(member.size for member in self.members.values())
+        size = sum(member.format.size for member in self.members.values())
         if len(data) != size:
             raise AxisConfigError(f"{len(data)} bytes, {size} expected")
-        words, at = [], 0
+        words, at = list[int](), 0
         for member in self.members.values():
-            words.append(int.from_bytes(data[at : at + member.size], "little", signed=member.signed))
-            at += member.size
+            words += member.elements(data[at : at + member.format.size])
+            at += member.format.size
         return self.block(words)
 
     def checksum(self, axis: int, block: Mapping[str, int]) -> int:
@@ -211,9 +195,9 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
     }  # fmt: skip
     if unknown := set(entry) - known:
         raise AxisConfigError(f"{path}: unknown key {', '.join(sorted(unknown))}")
-    if entry.get("type") not in _TYPES:
+    if entry.get("type") not in FORMATS:
         raise AxisConfigError(f"{path}: no type, and no format that contains one")
-    size, signed = _TYPES[entry["type"]]
+    format_ = FORMATS[entry["type"]]
     low, high = entry.get("minimum", 0), entry.get("maximum", 0)
     if "parameter" in entry:
         raw_low, high = catalogue[entry["parameter"]].raw_range
@@ -222,12 +206,20 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
         low = high = entry["fixed"]
     if "answer" in entry:
         high = sum(f.mask for f in catalogue.flags["faults"] if entry["answer"] not in REFUSED.get(f.name.lower(), {}))
-    span = (-(1 << (8 * size - 1)), (1 << (8 * size - 1)) - 1) if signed else (0, (1 << (8 * size)) - 1)
-    if not max(span[0], -(1 << 31)) <= low <= high <= min(span[1], (1 << 31) - 1):
+    if not format_.low <= low <= high <= min(format_.high, (1 << 31) - 1):
         raise AxisConfigError(f"{path}: the range {low} .. {high} does not fit {entry['type']} and int32_t")
     full, unit = _scale(path, entry.get("scale", ""), catalogue)
     lsb = full * 2.0 ** -entry.get("bits", 0)
-    return Member(path, size, signed, low, high, "answer" in entry, entry.get("live", False), lsb, unit)
+    return Member(
+        name=path,
+        unit=unit,
+        minimum=low * lsb,
+        maximum=high * lsb,
+        format=format_,
+        lsb=lsb,
+        bits="answer" in entry,
+        live=entry.get("live", False),
+    )
 
 
 def _scale(path: str, text: str, catalogue: Catalogue) -> tuple[float, str]:

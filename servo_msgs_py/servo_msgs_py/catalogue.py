@@ -25,7 +25,7 @@ class CatalogueError(ValueError):
     """The table of variables is malformed; the message contains position and cause."""
 
 
-_FORMATS: Final[Mapping[str, Format]] = {
+FORMATS: Final[Mapping[str, Format]] = {
     "uint16": Format(2),
     "uint32": Format(4),
     "int16": Format(2, signed=True),
@@ -37,6 +37,7 @@ _FORMATS: Final[Mapping[str, Format]] = {
     "flags32": Format(4),
     "block": Format(1),
 }
+"""Formats by the type words of the tables."""
 
 
 @dataclass(frozen=True)
@@ -334,11 +335,11 @@ def _variable(
     if missing:
         raise CatalogueError(f"{name}: {', '.join(sorted(missing))} missing")
     type_ = str(entry["type"])
-    if type_ not in _FORMATS:
-        raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(_FORMATS)}")
+    if type_ not in FORMATS:
+        raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(FORMATS)}")
     if "source" in entry and (type_ == "block" or "count" in entry):
         raise CatalogueError(f"{name}: only a single number can have a source")
-    format_ = _FORMATS[type_]
+    format_ = FORMATS[type_]
     if "scale" in entry and entry["scale"] not in scales:
         raise CatalogueError(f"{name}: unknown scale {entry['scale']!r}")
     scale = scales[entry["scale"]] if "scale" in entry else Scale("", "", None, 1.0)

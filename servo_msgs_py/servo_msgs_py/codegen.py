@@ -231,24 +231,24 @@ def _range_text(member: Member) -> str:
     kind = [
         name
         for name, holds in (
-            ("MEMBER_WIDE", member.size == 4),
-            ("MEMBER_SIGNED", member.signed),
+            ("MEMBER_WIDE", member.format.size == 4),
+            ("MEMBER_SIGNED", member.format.signed),
             ("MEMBER_BITS", member.bits),
             ("MEMBER_LIVE", member.live),
         )
         if holds
     ]
-    return f"{' | '.join(kind) or '0U'}, {_int_constant(member.minimum)}, {_int_constant(member.maximum)}"
+    return ", ".join([" | ".join(kind) or "0U", *map(_int_constant, member.raw_range)])
 
 
 def member_table(table: AxisConfigTable) -> str:
     """Offset of each member of a block and index of its range; equal ranges are stored once."""
     ranges = list(dict.fromkeys(map(_range_text, table.members.values())))
     rows = "\n".join(
-        f"    {{OFFSET({member.path}), {ranges.index(_range_text(member))}U}}," for member in table.members.values()
+        f"    {{OFFSET({member.name}), {ranges.index(_range_text(member))}U}}," for member in table.members.values()
     )
     checks = "\n".join(
-        f"CHECK({number}, SIZE({member.path}) == {member.size});"
+        f"CHECK({number}, SIZE({member.name}) == {member.format.size});"
         for number, member in enumerate(table.members.values())
     )
     limits = "\n".join(f"    {{{text}}}," for text in ranges)

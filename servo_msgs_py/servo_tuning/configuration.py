@@ -212,7 +212,7 @@ def _exact(where: str, value: object) -> dict[str, int]:
         if path not in members:
             raise unknown_name(f"{where}.{path}", path, members)
         if isinstance(raw, bool) or not isinstance(raw, int) or not members[path].accepts(raw):
-            low, high = members[path].minimum, members[path].maximum
+            low, high = members[path].raw_range
             raise refused(
                 f"{where}.{path}", repr(raw), "not accepted by a board", f"write an integer in {low} .. {high}"
             )

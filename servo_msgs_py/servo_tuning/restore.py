@@ -109,7 +109,7 @@ def restore_table(blocks: Sequence[Block], timeouts: tuple[float, float], catalo
 
 
 def _value(path: str, block: Block) -> float:
-    return float(AxisConfigTable.load().members[path].value(block[path]))
+    return float(AxisConfigTable.load().members[path].scale(block[path]))
 
 
 def _board(block: Block, timeouts: tuple[float, float], s: Scales) -> dict[str, Any]:

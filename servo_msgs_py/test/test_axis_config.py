@@ -15,18 +15,18 @@ MEMBERS = list(TABLE.members.values())
 
 
 def raw(member: Member) -> st.SearchStrategy[int]:
-    numbers = st.integers(member.minimum, member.maximum)
-    return numbers.map(lambda x: x & member.maximum) if member.bits else numbers
+    numbers = st.integers(*member.raw_range)
+    return numbers.map(lambda x: x & member.raw_range[1]) if member.bits else numbers
 
 
-BLOCKS = st.fixed_dictionaries({member.path: raw(member) for member in MEMBERS})
+BLOCKS = st.fixed_dictionaries({member.name: raw(member) for member in MEMBERS})
 
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # a block has many members
 @given(BLOCKS, st.integers(0, 1))
 def test_block_is_restored_from_bytes_and_words(block: dict[str, int], axis: int) -> None:
     data = TABLE.encode(block)
-    assert len(data) == sum(member.size for member in MEMBERS)
+    assert len(data) == sum(member.format.size for member in MEMBERS)
     assert TABLE.decode(data) == block
     assert TABLE.block(TABLE.words(block)) == block
     head = b"".join(number.to_bytes(4, "little") for number in (TABLE.layout, len(TABLE), axis))
@@ -37,11 +37,11 @@ def test_block_is_restored_from_bytes_and_words(block: dict[str, int], axis: int
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(BLOCKS, st.sampled_from(MEMBERS), st.sampled_from([-1, 1]))
 def test_values_that_the_board_refuses_are_reported(block: dict[str, int], member: Member, sign: int) -> None:
-    wrong = member.maximum + 1 if sign > 0 else member.minimum - 1
-    with pytest.raises(AxisConfigError, match=member.path.replace(".", r"\.")):
-        TABLE.check({**block, member.path: wrong})
+    wrong = member.raw_range[1] + 1 if sign > 0 else member.raw_range[0] - 1
+    with pytest.raises(AxisConfigError, match=member.name.replace(".", r"\.")):
+        TABLE.check({**block, member.name: wrong})
     missing = dict(block)
-    del missing[member.path]
+    del missing[member.name]
     with pytest.raises(AxisConfigError, match="missing"):
         TABLE.encode(missing)
     with pytest.raises(AxisConfigError, match="not a member"):
@@ -57,12 +57,12 @@ def test_wrong_lengths_are_refused() -> None:
 
 def test_values_have_units() -> None:
     members = TABLE.members
-    assert members["i_q_limit"].text(15888) == "4.00012 A"
-    assert members["winding.resistance"].text(3145728) == "0.55 V/A"
+    assert members["i_q_limit"].shown(15888) == "4.00012 A"
+    assert members["winding.resistance"].shown(3145728) == "0.55 V/A"
     assert members["speed.kp"].unit == "A/(rad/s)"
-    assert members["search_ticks_max"].text(10000) == "5 s"
-    assert members["stop.ramp"].text(0x40) == "0x40"
-    assert members["encoder.pole_pairs"].text(2) == "2"
+    assert members["search_ticks_max"].shown(10000) == "5 s"
+    assert members["stop.ramp"].shown(0x40) == "0x40"
+    assert members["encoder.pole_pairs"].shown(2) == "2"
 
 
 def test_layout_hash_depends_on_ranges_and_names() -> None:

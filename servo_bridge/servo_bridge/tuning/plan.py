@@ -95,7 +95,7 @@ class Plan:
 
 
 def _row(axis: int, member: Member, old: Block, new: Block) -> Sequence[str]:
-    texts: list[Any] = [member.text(block[member.path]) for block in (old, new)]
+    texts: list[Any] = [member.shown(block[member.name]) for block in (old, new)]
     if texts[0] == texts[1]:
-        texts = [f"{text} (raw {block[member.path]})" for text, block in zip(texts, (old, new), strict=True)]
-    return (axis_name(axis), member.path, *texts, "in motion" if member.live else "at rest")
+        texts = [f"{text} (raw {block[member.name]})" for text, block in zip(texts, (old, new), strict=True)]
+    return (axis_name(axis), member.name, *texts, "in motion" if member.live else "at rest")
