@@ -175,3 +175,17 @@ def test_fault_is_published_with_its_record(rig: Rig) -> None:
     values = {pair.key: pair.value for pair in rig.diagnosis("axis1").values}
     assert values["first fault tick"] == "8003"
     assert values["first fault"] == record.summary().removeprefix("first fault ")
+
+
+def test_no_record_is_published_after_link_loss_during_the_read(rig: Rig) -> None:
+    """An incomplete record is not published; it is read again after the reconnection."""
+    rig.link.pending_reads = []
+    fail(rig, PHASE_LOST)
+    rig.until(lambda: rig.link.pending_reads)
+    rig.link.disconnect()
+    rig.until(lambda: rig.state().startswith("DISCONNECTED"))
+    assert rig.messages[TOPIC] == []
+    rig.link.pending_reads = None
+    rig.connect(FAULT, STOP)
+    rig.until(lambda: rig.messages[TOPIC])
+    assert published(rig.messages[TOPIC][-1])[1] == decoded(LOST).table.tolist()
