@@ -116,15 +116,6 @@ def test_reversal_at_the_compare_value_counts_no_revolution(core: Core, config: 
     assert encoder.c.position == encoder.timer.shaft
 
 
-def test_dithering_on_the_compare_value_counts_no_revolution(core: Core, config: Any) -> None:
-    encoder = Encoder(core, config)
-    encoder.update(1999)
-    encoder.update(1999)
-    for k in range(400):
-        assert encoder.update((1, 1, -1, -1, 1, -1, 2, -2, 3, -3)[k % 10])
-        assert encoder.c.position == encoder.timer.shaft
-
-
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("back", [1, 2, 5])
 def test_a_reversal_across_the_reload_keeps_the_revolutions(core: Core, config: Any, direction: int, back: int) -> None:
@@ -147,45 +138,6 @@ def test_missing_index_pulse_is_found_at_the_wrap(core: Core, config: Any, direc
     results = [encoder.update(direction * 100) for _ in range(39)]
     assert all(results)
     assert not encoder.update(direction * 100)
-
-
-def test_stale_pulse_does_not_hide_a_missing_one(core: Core, config: Any) -> None:
-    """Reach the compare value, reverse by more than half a revolution, lose the pulse of the real wrap."""
-    encoder = Encoder(core, config)
-    encoder.update(1999)
-    encoder.update(1999)
-    encoder.update(1)
-    encoder.update(-1999)
-    encoder.update(-1000)
-    encoder.timer.index_works = False
-    encoder.update(1999)
-    assert encoder.update(999)
-    assert not encoder.update(100)
-
-
-@pytest.mark.parametrize("way", [1, -1])
-def test_pulse_is_discarded_at_half_a_revolution(core: Core, config: Any, way: int) -> None:
-    """The pulse is discarded when the shaft is closer to half a revolution than to a compare value."""
-    for count, kept in ((2000, 1), (1999, 0), (1, 0), (0, 0)):
-        encoder = core.ffi.new("encoder_t *")
-        core.lib.encoder_reset(encoder, (way * (count + 1)) & 0xFFFF, 0)
-        encoder.pending = 1
-        assert core.lib.encoder_update(encoder, config, (way * count) & 0xFFFF, 0)
-        assert encoder.pending == kept
-
-
-def test_resync_adopts_the_differences(core: Core, config: Any) -> None:
-    encoder = Encoder(core, config)
-    encoder.timer.index_works = False
-    for _ in range(41):
-        encoder.update(100)
-    assert not encoder.update(0)
-    encoder.timer.index_works = True
-    core.lib.encoder_resync(encoder.c, config)
-    assert encoder.c.position == 4100
-    for step in [1500] * 5 + [-1500] * 10:
-        assert encoder.update(step)
-    assert encoder.c.position == encoder.timer.shaft
 
 
 # ---- position (E41, F27) --------------------------------------------------------------------------------------------
@@ -312,30 +264,3 @@ def test_agrees_with_integers_in_every_bit(
             assert bool(core.lib.encoder_update(c, config, count & 0xFFFF, index)) == model.update(count, index)
         now = (c.count, c.index, c.pending, c.turns, c.count_init, c.position, c.integral)
         assert now == model.state
-
-
-def test_reset_clears_the_state(core: Core) -> None:
-    c = core.ffi.new("encoder_t *", (1, 2, 3, 4, 5, 6, 7))
-    core.lib.encoder_reset(c, 0xF061, 9)
-    assert (c.count, c.index, c.pending, c.turns, c.position, c.integral) == (0xF061, 9, 0, 0, 0, 0)
-    assert c.count_init == -3999
-
-
-@pytest.mark.parametrize(
-    ("counts", "revs", "turns"),
-    [
-        ((3000, 200), (0, 1), 1),  # forwards over the reload: RealZCnt += REV(k) - REV(k-1)
-        ((-3000, -200), (0, 1), -1),  # backwards: RealZCnt -= REV(k) - REV(k-1)
-        ((200, 900), (0, 0), 0),
-        ((900, 200), (5, 5), 0),
-        ((3900, 100), (65535, 0), 1),  # TMRx2 wraps: the difference is 1
-    ],
-)
-def test_the_sign_of_the_count_decides_the_sign_of_the_index(
-    core: Core, config: Any, counts: tuple[int, int], revs: tuple[int, int], turns: int
-) -> None:
-    """The sign of ENC(k) - ENC(k-1), wrapped, decides whether REV(k) - REV(k-1) is added or subtracted."""
-    c = core.ffi.new("encoder_t *")
-    core.lib.encoder_reset(c, counts[0] & 0xFFFF, revs[0])
-    assert core.lib.encoder_update(c, config, counts[1] & 0xFFFF, revs[1])
-    assert c.turns == turns

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import random
 from collections.abc import Callable
@@ -171,53 +170,6 @@ def test_movement_of_the_search_is_small(core: Core, axis: int, inertia: float, 
         assert result.travel <= result.searches * 2 * (seen + 2), degrees
 
 
-def test_deceleration_mirrors_the_pull(core: Core) -> None:
-    """The reversed, decreasing current takes the gained speed from a shaft without friction."""
-    currents: list[float] = []
-    speeds: list[float] = []
-    shaft = Shaft(77.0 * DEGREE, friction=0.0, resistance=20.0)
-
-    def log(s: Any) -> None:
-        if s.searches == 1 and s.phase in (PULL, BRAKE):
-            currents.append(s.current)
-            speeds.append(abs(shaft.speed))
-
-    search(core, shaft, each_tick=log)
-    turn = next(k for k, current in enumerate(currents) if current < 0)
-    pull, brake = currents[:turn], currents[turn:]
-    assert brake == [-current for current in reversed(pull)][: len(brake)]
-    assert speeds[-1] < 0.15 * max(speeds)
-
-
-def test_vector_moves_with_the_shaft(core: Core) -> None:
-    """Coordinate correction during a movement: the angle between rotor and vector is constant within a count."""
-    shaft = Shaft(60.0 * DEGREE, friction=0.0)
-    offsets: list[float] = []
-
-    def log(s: Any) -> None:
-        if s.searches == 1 and s.phase in (PULL, BRAKE):
-            vector = core.lib.rotor_search_angle(s) * math.pi / 32768.0
-            offsets.append(math.remainder(vector - shaft.angle, 2.0 * math.pi) / DEGREE)
-
-    search(core, shaft, each_tick=log)
-    assert max(offsets) - min(offsets) <= 0.18 + 0.02
-
-
-@pytest.mark.parametrize("degrees", [180.0, 179.8, -179.7, 179.0])
-def test_opposite_rotor_is_not_taken_for_aligned(core: Core, degrees: float) -> None:
-    """No torque at 180 degrees: the first vector causes no movement, the vector at 90 degrees does."""
-    result = search(core, Shaft(degrees * DEGREE))
-    assert result.phase == FOUND
-    assert abs(result.error) < 1.5
-
-
-def test_rotor_aligned_to_the_first_vector_is_found(core: Core) -> None:
-    result = search(core, Shaft(0.2 * DEGREE))
-    assert result.phase == FOUND
-    assert result.vectors[1] == pytest.approx(90.0, abs=1.0)
-    assert abs(result.error) < 1.5
-
-
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0, 180.0])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_blocked_shaft_ends_in_held(core: Core, axis: int, degrees: float) -> None:
@@ -370,28 +322,6 @@ def test_a_quarter_of_the_current_is_enough(stepped: Stepped, sign: int) -> None
     assert s.phase == PULL
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.5e-3, 2e-3, 8e-3, 20e-3])
-@pytest.mark.parametrize("degrees", [-100.0, 30.0, 77.0, 150.0])
-def test_friction_does_not_shift_the_angle_found(core: Core, friction: float, degrees: float) -> None:
-    """The current grows until the shaft lets go. The angle at which friction holds it against the largest current, six
-    degrees for the last one, is not in the result: it cancels between the turn there and the one back."""
-    result = search(core, Shaft(degrees * DEGREE, friction=friction))
-    assert result.phase == FOUND
-    assert abs(result.error) < 0.5
-
-
-def test_heavy_load_takes_more_current(core: Core) -> None:
-    light = search(core, Shaft(60.0 * DEGREE, friction=1e-3))
-    heavy = search(core, Shaft(60.0 * DEGREE, friction=15e-3))
-    assert max(heavy.currents[:200]) > 2.0 * max(light.currents[:50])
-
-
-def test_current_starts_from_zero_at_every_vector(core: Core) -> None:
-    currents = search(core, Shaft(30.0 * DEGREE)).currents
-    rises = [b - a for a, b in itertools.pairwise(currents) if b > a and a >= 0.0]
-    assert max(rises) <= 4.0 * 4.0 / 200.0 + 1e-3  # 0.1 s to 4 A; four times as fast within narrow bounds
-
-
 @pytest.mark.parametrize("origin", [0, 123456, 2**31 - 2, -(2**31)])
 def test_search_does_not_depend_on_the_start_position(core: Core, origin: int) -> None:
     """Only differences matter, also across the wrap of 32 bits."""
@@ -403,14 +333,6 @@ def test_search_does_not_depend_on_the_start_position(core: Core, origin: int) -
     # the rotor was below the vector, so it is a quarter turn below now; and it has moved by 3
     assert s.theta_m == pytest.approx(-16384 + 3 * 65536 * 2 / 4000, abs=1)
     assert s.reach == 16384
-
-
-def test_a_movement_by_one_count_is_ignored(stepped: Stepped) -> None:
-    """The count of a shaft at rest on an edge dithers by one; so does that of an encoder with one dead line."""
-    s = stepped.state
-    for k in range(150):
-        stepped.step(k & 1)
-        assert s.phase == PULL
 
 
 def test_dither_of_one_count_does_not_extend_the_pull_without_limit(stepped: Stepped) -> None:
@@ -466,15 +388,6 @@ def test_verification_rotates_the_vector_to_both_sides(stepped: Stepped) -> None
     assert config.verify_angle <= max(angles) < maximum
     assert config.verify_angle <= -min(angles) < maximum
     assert (s.phase, s.side, s.verify_failures) == (REST, 1, 1)
-
-
-def test_a_shaft_that_follows_and_does_not_return_is_not_found(stepped: Stepped) -> None:
-    s = stepped.state
-    stepped.to_verification()
-    while not s.follows:
-        stepped.step(4 if wrapped(s.vector) > 300 else 0)
-    stepped.until(REST, 4, 1000)
-    assert s.verify_failures == 1
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -533,16 +446,6 @@ def test_the_direction_is_found_with_the_fastest_rotation(stepped: Stepped, step
     assert s.phase == REVERSED
 
 
-@pytest.mark.parametrize("back", [False, True])
-def test_brake_ends_when_the_shaft_reverses(stepped: Stepped, back: bool) -> None:
-    s = stepped.state
-    for position in [0] * 100 + [-1] * 20 + [-3, -4, -5]:
-        stepped.step(position)
-    assert s.phase == BRAKE
-    stepped.step(-4 if back else -5)
-    assert s.phase == (REST if back else BRAKE)
-
-
 def test_rest_lasts_until_standstill(stepped: Stepped) -> None:
     """Every movement restarts the waiting time; the bounds are shifted by the total movement at its end."""
     s, config = stepped.state, stepped.config
@@ -570,17 +473,6 @@ def test_dither_of_one_count_is_accepted_as_rest(core: Core) -> None:
             assert stepped.state.phase == REST
         stepped.step(3 + step * 14, 4 + step * 14)
         assert (stepped.state.phase == PULL) == rests
-
-
-def test_bounds_are_shifted_by_the_movement_of_the_shaft(stepped: Stepped) -> None:
-    """Coordinate correction of F15: both bounds and the next vector shift by the movement."""
-    s = stepped.state
-    stepped.step(-50)  # pulled down from 0: the rotor was above
-    stepped.until(REST, -100)
-    stepped.until(PULL, -100)
-    shift = -100 * 65536 * 2 // 4000
-    assert s.theta_m == pytest.approx(16384 + shift, abs=1)
-    assert s.reach == 16384
 
 
 @pytest.mark.parametrize("moving", [1, 2, 5])
@@ -646,11 +538,6 @@ def test_external_displacement_causes_no_wrong_angle(core: Core, degrees: float,
     assert abs(result.error) < 0.8  # the angle at which friction balances the torque, and a count
 
 
-def test_the_full_current_pulls_for_its_ticks(stepped: Stepped) -> None:
-    stepped.to_full_current()
-    assert stepped.ticks(lambda _: 0) == stepped.config.hold_ticks
-
-
 def test_the_full_current_pulls_four_times_as_long_at_an_edge_that_dithers(stepped: Stepped) -> None:
     stepped.to_full_current()
     assert stepped.ticks(lambda tick: 1 - tick % 2) == 4 * stepped.config.hold_ticks
@@ -663,16 +550,6 @@ def test_counts_that_end_the_pull_depend_on_the_side(stepped: Stepped, side: int
     assert stepped.state.phase == PULL
     stepped.step(counts)
     assert stepped.state.phase == BRAKE
-
-
-def test_duration_of_the_brake_is_that_of_the_last_movement(stepped: Stepped) -> None:
-    """Earlier dither and the previous movement are not included."""
-    stepped.step(0, 1, 1, 0, 1, 2, 3)
-    assert (stepped.state.phase, stepped.state.moving) == (BRAKE, 3)
-    stepped.until(REST, 3)
-    stepped.until(PULL, 3)
-    stepped.step(0)
-    assert (stepped.state.phase, stepped.state.moving) == (BRAKE, 1)
 
 
 def test_the_brake_reverses_the_full_current_in_four_steps_and_holds_it_as_long_as_the_pull(stepped: Stepped) -> None:
@@ -719,18 +596,6 @@ def test_a_verified_shaft_that_coasts_beyond_six_counts_is_accepted(stepped: Ste
     assert stepped.state.phase == REST
     stepped.step(7)
     assert stepped.state.phase == FOUND
-
-
-def test_verification_begins_after_its_ticks_at_full_current(stepped: Stepped) -> None:
-    stepped.state.reach = 128
-    stepped.step(3)
-    stepped.until(VERIFY, 3)
-    stepped.to_full_current(3)
-    ticks = 0
-    while stepped.state.vector == stepped.state.theta_m:
-        stepped.step(3)
-        ticks += 1
-    assert ticks == stepped.config.hold_ticks + 1
 
 
 @pytest.mark.parametrize(("counts", "follows"), [(2, False), (3, True)])
