@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servo_msgs_py.runtime.program import run
+from servo_msgs_py.runtime.program import end, run
 
 
 def bridge() -> int:
@@ -12,12 +12,12 @@ def bridge() -> int:
 
 def command() -> int:
     """``servo-command``."""
-    return run("servo-command", "servo_bridge.command", ros=True)
+    end("servo-command", run("servo-command", "servo_bridge.command", ros=True))
 
 
 def demo() -> int:
     """``servo-demo``."""
-    return run("servo-demo", "servo_bridge.demo", ros=True)
+    end("servo-demo", run("servo-demo", "servo_bridge.demo", ros=True))
 
 
 def tool() -> int:

@@ -76,6 +76,9 @@ def test_refusals_of_the_bridge_are_printed(rig: Rig, command: Command) -> None:
 def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
     rig.connect(FAULT, SPIN)
     rig.link.values |= {"axis1.faults": 1 << 6, "axis2.limits": 1 << 4}
+    rig.link.sample()
+    rig.until(lambda: rig.state() == "axis1=FAULT axis2=RUN/SPIN")  # latched before: the state of another test
+    rig.until(lambda: "HOST_SILENT" in rig.diagnosis("axis1").message)
     status, out, _ = command("state")
     rig.link.values |= {"axis1.faults": 0, "axis2.limits": 0}
     assert status == 0
