@@ -101,6 +101,13 @@ def test_delay_of_a_stream_is_that_of_the_document(baud: int, delay: float) -> N
     assert measured.stamp_error < 1e-3
 
 
+def test_a_goal_beyond_a_limit_is_refused_in_one_line() -> None:
+    sequence = CommandSequence(Setup(joints="limited"), [Step("goal", 1.5, distance=4.0, time=1.0)])
+    assert not sequence.run(), sequence.log
+    lines = [line for line in sequence.log if "rejected, no motion" in line and "outside -3 .. 3 rad" in line]
+    assert len(lines) == 1
+
+
 def test_velocity_controller_turns_the_joint() -> None:
     steps = [Step("activate", controller="velocity"), Step("goal", 2.0, distance=6.0, time=2.0)]
     sequence = CommandSequence(Setup(), steps)

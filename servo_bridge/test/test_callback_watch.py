@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import gc
+import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
-from bridge_rig import Rig
+from bridge_rig import SPIN, Rig
+from builtin_interfaces.msg import Duration
 from lifecycle_msgs.srv import GetState
+from sensor_msgs.msg import JointState
 from servo_bridge.callback_watch import HANG, CallbackWatch
+from servo_bridge.set_point_sources import Source
+from servo_bridge.trajectory.follower import QUICK
+from servo_msgs_py.runtime.qos import command_qos
+from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from servo_bridge import callback_watch
+from servo_msgs_py import topics
 
 
 class HostTime:
@@ -110,6 +123,65 @@ def test_services_that_rclpy_creates_are_measured(rig: Rig) -> None:
     future = client.call_async(GetState.Request())
     rig.until(future.done)
     assert "service /servo/servo_bridge/get_state" in rig.bridge.watch.longest()
+
+
+@pytest.mark.realtime
+def test_every_kind_of_callback_is_short(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most 20 ms of processor time, in the same thread as all commands, without the garbage of other tests."""
+    monkeypatch.setattr(callback_watch, "_wall", lambda taken: taken.cpu)
+    gc.disable()
+    try:
+        use_everything(rig)
+    finally:
+        gc.enable()
+    longest = rig.bridge.watch.longest()
+    assert {"timer Supervisor._every_second", "Supervisor._on_sample", "topic joint_commands"} <= longest.keys()
+    assert max(taken.cpu for taken in longest.values()) < 0.02, "\n".join(map(str, longest.values()))
+
+
+def use_everything(rig: Rig) -> None:
+    """Longest path that is planned at once, two sources in conflict, a refused stream, a new description."""
+    rig.link.set_states(SPIN, SPIN)
+    for name, value in (("speed", 300.0), ("acceleration", 4000.0), ("i_q", 2.0)):
+        variable = rig.link.catalogue[f"param.{name}_limit"]
+        rig.link.parameters[variable.name] = [variable.to_raw(value)] * 2
+    rig.enable_axes()
+    supervisor = rig.bridge.supervisor
+    assert supervisor is not None
+    rig.until(lambda: supervisor._path_limits() is not None)
+    times = np.arange(1, QUICK + 1) / 25.0
+    paths = rig.user.create_publisher(JointTrajectory, topics.JOINT_TRAJECTORY, command_qos())
+    rig.until(paths.get_subscription_count)
+    points = [
+        JointTrajectoryPoint(
+            positions=[1.0 - math.cos(t), math.cos(t) - 1.0],
+            time_from_start=Duration(sec=int(t), nanosec=round(t % 1.0 * 1e9) % 1_000_000_000),
+        )
+        for t in times.tolist()
+    ]
+    paths.publish(JointTrajectory(joint_names=["axis1", "axis2"], points=points))
+
+    def sampled(condition: Callable[[], object]) -> Callable[[], object]:
+        def met() -> object:
+            rig.link.sample(160)
+            return condition()
+
+        return met
+
+    rig.until(sampled(lambda: supervisor._follower.moving))
+    for _ in range(4):
+        rig.position.publish(Float64(data=0.0))
+        rig.until(sampled(lambda: supervisor._arbiter.sources.holder(1) == Source("axis2/position", "position")))
+        rig.joint_commands.publish(JointState(name=["axis2"], velocity=[1.0]))
+        rig.until(sampled(lambda: supervisor._arbiter.sources.holder(1) == Source("joint_commands", "velocity")))
+    for _ in range(20):
+        rig.joint_commands.publish(JointState(name=["axis1"], position=[0.0], velocity=[0.0]))
+        rig.link.sample(160)
+        rig.executor.spin_once(timeout_sec=0.01)
+    assert rig.set_parameter("position_max", [100.0, 100.0])[0]
+    rig.until(lambda: "timer Supervisor._every_second" in rig.bridge.watch.longest())
+    rig.link.disconnect()
+    rig.until(lambda: "DISCONNECTED" in rig.state())
 
 
 @pytest.mark.realtime

@@ -25,6 +25,7 @@ class ErrorCode(IntEnum):
 class TrajectoryError(Rejected):
     """A trajectory was refused; the text has the error, its location and a remedy."""
 
-    def __init__(self, text: str, code: ErrorCode = ErrorCode.INVALID_GOAL) -> None:
+    def __init__(self, text: str, code: ErrorCode = ErrorCode.INVALID_GOAL, kind: str = "") -> None:
         super().__init__(text)
+        self.kind = kind
         self.code = code  # for the result of an action

@@ -56,8 +56,8 @@ _HISTORY = round(0.2 / PERIOD)
 _EXTENSIONS_PER_REBUILD: Final = 32
 """Extensions of a path that are merged at once; one by one they would take a third of the processor time."""
 
-QUICK: Final = 200
-"""Number of points up to which a path is planned at once; planning of others takes longer than 10 ms."""
+QUICK: Final = 100
+"""Number of points up to which a path is planned at once, in up to 10 ms of processor time."""
 
 _PLANNING_TIME: Final = 1.0e-4
 """Estimated planning time per point on a busy computer, for a path with a start time [s]."""
@@ -129,8 +129,9 @@ class _Request:
     checked: bool = False  # it has been planned once
     pending: bool = True  # it has neither begun nor ended; read by the thread of the planner
     planning: bool = False  # it is being planned
-    plannings: int = 0  # number of plannings since it was ready
+    plannings: int = 0  # number of plannings in this attempt
     attempt: int = 0  # index in `_LEADS`
+    lead: float = LEAD  # of the next planning [s]
     repeatable: bool = False  # its joints had no path, and the board has not accepted a point
 
 
@@ -336,6 +337,7 @@ class Follower:
         for axis in request.axes:
             self._discard(axis)
         request.attempt += 1
+        request.plannings, request.lead = 0, _LEADS[request.attempt]
         request.pending = True
         self._requests.append(request)
         return True
@@ -424,8 +426,7 @@ class Follower:
                 one.tail.clear()
         for request in self._requests.copy():
             if request.checked and not request.planning and self._ready(request, reports):
-                request.plannings = 0
-                self._start_planning(request, _LEADS[request.attempt])
+                self._start_planning(request)
         for one, report, joint in zip(self._axes, reports, self._gears, strict=True):
             one.held = report.position_ref if report.follows and one.path is None else None
             one.position_ref = joint.position(report.position_ref)
@@ -451,16 +452,16 @@ class Follower:
         )
 
     # ---- planning
-    def _start_planning(self, request: _Request, lead: float) -> None:
+    def _start_planning(self, request: _Request) -> None:
         request.planning = True
         request.plannings += 1
-        time = (self._now + round((self._time() - self.now + lead) / PERIOD)) * PERIOD
+        time = (self._now + round((self._time() - self.now + request.lead) / PERIOD)) * PERIOD
         running = self.running()
         others = [one.waiting.ticks for axis, one in enumerate(self._axes) if axis not in request.axes and one.waiting]
         work = self._work if request.size > QUICK else at_once
         work(
             partial(self._plan, request, running, time, others, self._line()),
-            partial(self._take_plan, request, running, lead, self._clock()),
+            partial(self._take_plan, request, running, self._clock()),
         )
 
     def _plan(
@@ -490,8 +491,8 @@ class Follower:
             )
         return Planned(path, points, need.lead)
 
-    def _take_plan(self, request: _Request, running: Path, lead: float, begin: float, done: Future[Planned]) -> None:
-        """Follow a planned path, or plan it again if it comes too late or its joints have moved differently."""
+    def _take_plan(self, request: _Request, running: Path, begin: float, done: Future[Planned]) -> None:
+        """Follow a planned path, or plan it again after the next sample if it is late or its joints have moved."""
         if request not in self._requests:
             return  # replaced or cancelled in the meantime
         request.planning = False
@@ -512,11 +513,11 @@ class Follower:
             self._begin(request, planned)
         elif changed and request.plannings >= _ATTEMPTS:
             self._refuse(request, TrajectoryError("its joints moved while it was planned; stop them first"))
-        elif lead > _LEAD_MAX:
+        elif request.lead > _LEAD_MAX:
             reason = f"its planning takes {taken:.1f} s, in which its start has passed; send fewer waypoints"
             self._refuse(request, TrajectoryError(reason))
         else:
-            self._start_planning(request, max(lead_min, lead + LEAD + 2.0 * taken))
+            request.lead = max(lead_min, request.lead + LEAD + 2.0 * taken)
 
     def _refuse(self, request: _Request, error: TrajectoryError) -> None:
         self._remove(request)

@@ -301,5 +301,6 @@ def require_within(source: str, joint: str, point: JointSetPoint, limits: Limits
         if value is not None and not low <= value <= high:
             raise TrajectoryError(
                 f"{source}: {name} of {joint} is {value:g} {unit}, outside {low:g} .. {high:g} {unit}; send a value "
-                f"within this range, or change the limits in the parameters of bridge and board{returns}"
+                f"within this range, or change the limits in the parameters of bridge and board{returns}",
+                kind=f"{name} of {joint}",
             )
