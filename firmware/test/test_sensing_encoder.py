@@ -264,3 +264,10 @@ def test_agrees_with_integers_in_every_bit(
             assert bool(core.lib.encoder_update(c, config, count & 0xFFFF, index)) == model.update(count, index)
         now = (c.count, c.index, c.pending, c.turns, c.count_init, c.position, c.integral)
         assert now == model.state
+
+
+def test_reset_clears_the_state(core: Core) -> None:
+    c = core.ffi.new("encoder_t *", (1, 2, 3, 4, 5, 6, 7))
+    core.lib.encoder_reset(c, 0xF061, 9)
+    assert (c.count, c.index, c.pending, c.turns, c.position, c.integral) == (0xF061, 9, 0, 0, 0, 0)
+    assert c.count_init == -3999
