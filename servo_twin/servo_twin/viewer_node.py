@@ -225,6 +225,7 @@ class ServoViewer(Node):
         """Write pending data, close recording, page and node; takes a few seconds at most."""
         if not self._viewer.close():
             self._log.error("timeout while closing the recording; `rerun rrd optimize` may repair it")
+        self.failure = self.failure or self._viewer.failure
         if self._page is not None:
             self._page.close()
         Node.destroy_node(self)

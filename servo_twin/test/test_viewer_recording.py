@@ -419,6 +419,25 @@ def test_a_recording_that_fails_is_reported_and_closed() -> None:
     assert recording.closed
 
 
+def test_recording_that_is_not_complete_at_the_end_is_reported() -> None:
+    class Full(_Stalled):
+        def close(self) -> None:
+            raise RecordingError("the recording is not complete: no space left on device")
+
+    recording = Full()
+    recording.go.set()
+    viewer = Viewer(recording, CATALOGUE, START_NS, period=0.01)
+    viewer.start()
+    assert viewer.close()
+    assert viewer.failure == "the recording is not complete: no space left on device"
+
+
+def test_full_disk_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "run.rrd").symlink_to("/dev/full")
+    with pytest.raises(RecordingError, match=r"run\.rrd cannot be written: .*No space left on device"):
+        Recording(tmp_path / "run.rrd")
+
+
 def test_a_file_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match=r"file/run\.rrd cannot be written"):

@@ -138,6 +138,7 @@ def _run(
     with deferred() as stop:
         executor = EventsExecutor()
         node: Runnable | None = None
+        failure = ""
         try:
             node = make(executor)
             executor.add_node(node)
@@ -157,9 +158,10 @@ def _run(
             if node is not None:
                 executor.remove_node(node)
                 node.shutdown()
+                failure = str(node.failure)  # of the shutdown
             executor.shutdown()
             try_shutdown()
-    return 0
+    return _print_error(name, failure, 1) if failure else 0
 
 
 def _without_source_lines(text: str) -> str:

@@ -5,7 +5,6 @@ Only this module and `blueprint` use rerun. It is imported at the first use, so 
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -85,7 +84,10 @@ class Recording:
             server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=grpc_port, server_memory_limit=_SERVER_MEMORY)
             self.uri = server.uri
             sinks.append(server)
-        self._stream.set_sinks(*sinks, default_blueprint=blueprint())
+        try:
+            self._stream.set_sinks(*sinks, default_blueprint=blueprint())
+        except RuntimeError as error:
+            raise RecordingError(f"{path} cannot be written: {error}") from None
         self._styles()
         self._shafts()
 
@@ -198,10 +200,19 @@ class Recording:
         return self._rr.TimeColumn(scene.TIMELINE, duration=times)
 
     def close(self) -> None:
-        """Write pending data, close file and server."""
-        with contextlib.suppress(Exception):  # e.g. full file system; the file is readable up to this point
+        """Write pending data, close file and server.
+
+        Raises
+        ------
+        RecordingError
+            If not all could be written, such as on a full disk; the file is readable up to this point.
+        """
+        try:
             self._stream.flush(timeout_sec=_FLUSH_TIMEOUT)
-        self._stream.disconnect()
+        except (RuntimeError, ValueError) as error:
+            raise RecordingError(f"the recording is not complete: {str(error).splitlines()[0]}") from None
+        finally:
+            self._stream.disconnect()
 
 
 def _check_writable(path: Path) -> None:

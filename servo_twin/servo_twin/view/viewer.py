@@ -208,8 +208,10 @@ class Viewer:
             self._work()  # the delayed jobs
         except Exception as error:
             self._failure = f"the recording cannot be written: {error}"
-        finally:
+        try:
             self._recording.close()
+        except Exception as error:
+            self._failure = self._failure or str(error)
 
     def _work(self) -> None:
         """Process and write all pending messages."""
