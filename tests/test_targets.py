@@ -16,8 +16,8 @@ from targets.sources import Sources
 
 Needs = Callable[[Target], None]
 
-REFUSALS = ("return FM_PASSWORD_NEEDED;", "return RESULT_LEVEL;")
-"""Refusals without a login: the configuration of the runs has no passwords."""
+REFUSALS = ("return FM_PASSWORD_NEEDED;", "return RESULT_LEVEL;", "return POINT_REFUSAL_MEASUREMENT;")
+"""Refusals without a login and during a measurement: the runs have neither passwords nor measurements."""
 
 NOT_ON_A_TARGET = {
     # The replay has one thread: the server is not interrupted.
