@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from servo_bridge.set_points import JointSetPoint
+from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import LEAD, AxisReport, Follower, PathEvents
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.streamer import Streamer
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.waypoints import Waypoints
 from servo_msgs_py.catalogue import Catalogue
@@ -117,6 +121,26 @@ def test_start_of_a_path_is_delayed_by_its_computing_time(rig: Rig) -> None:
     assert not rig.refusals
     begin = rig.follower.paths()["axis1"].start_time
     assert known + rig.time + 0.03 < begin < known + 5.0
+
+
+def test_a_stream_whose_first_plan_is_late_begins_with_the_next_one(rig: Rig) -> None:
+    delays = iter([0.3])
+
+    def check(_: Path) -> None:
+        rig.time += next(delays, 0.0)
+
+    rig.follower = Follower(CATALOGUE, DEFAULT_JOINTS, check, clock=lambda: rig.time)
+    rig.sample(2)
+    streamer = Streamer(DEFAULT_JOINTS, rig.follower, 0.05)
+    limits = [Limits(-math.inf, math.inf, 100.0, 1000.0, 1.0)] * 2
+    for _ in range(80):
+        streamer.take({0: JointSetPoint(1.0, 0.0)}, rig.follower.now, rig.follower.now, limits)
+        rig.sample()
+        streamer.advance(rig.follower.now)
+    report = streamer.report
+    assert report is not None
+    assert report.received == 80
+    assert rig.of(0)
 
 
 def test_follower_waits_until_the_axes_follow_points_and_hold(rig: Rig) -> None:

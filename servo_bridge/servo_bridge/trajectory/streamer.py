@@ -141,7 +141,7 @@ class Streamer:
             self._streams[axis] = _Joint(limits[axis])
         for axis, point in points.items():
             mine = self._streams[axis]
-            if mine.stream is None:
+            if mine.stream is None or mine.plan is None:
                 mine.waiting.append((stamp, arrival, point))
             else:
                 _feed(mine.stream, stamp, arrival, point)
@@ -257,8 +257,7 @@ class Streamer:
 
     def _remove_replaced(self) -> None:
         for axis, mine in list(self._streams.items()):
-            followed = mine.plan is not None and self._follower.follows(self._joints[axis], mine.plan)
-            if mine.stream is not None and not followed:
+            if mine.plan is not None and not self._follower.follows(self._joints[axis], mine.plan):
                 del self._streams[axis]
 
 
