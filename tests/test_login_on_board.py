@@ -10,7 +10,7 @@ import pytest
 from servo_bridge.freemaster.frames import encode_request, encode_uleb
 from servo_msgs_py.text_file import read_toml
 from servo_twin.board import Board
-from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+from servo_twin.servo_config import SERVO_TOML, ServoConfig
 
 PASSWORDS = {"command": b"drive", "tune": b"gains"}
 NEEDED, OK = 0x91, 0x00
@@ -19,15 +19,15 @@ DONE, LEVEL = 0, 2
 
 
 @pytest.fixture(scope="module")
-def firmware() -> Any:
+def configuration() -> ServoConfig:
     table: dict[str, Any] = read_toml(SERVO_TOML)
     table["board"]["passwords"] = {level: f"sha1:{hashlib.sha1(text).hexdigest()}" for level, text in PASSWORDS.items()}
-    return build_firmware(as_toml(table), "ideal")
+    return ServoConfig.of_table(table)
 
 
 @pytest.fixture
-def board(firmware: Any) -> Iterator[Board]:
-    with Board(seed=1, level="ideal", firmware=firmware) as board:
+def board(configuration: ServoConfig) -> Iterator[Board]:
+    with Board(seed=1, level="ideal", servo=configuration) as board:
         board.run(0.01)
         yield board
 

@@ -11,8 +11,8 @@ from servo_msgs_py.convert import state_label
 from servo_msgs_py.text_file import read_toml
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import SERVO_TOML, ServoConfig
 from servo_twin.validation.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
 
 LIMIT: Final = 1.0
@@ -22,17 +22,13 @@ RIPPLE: Final = 0.06
 """Permitted deviation of the controlled current: noise, dead time, overshoot [A]."""
 
 
-def small_motor() -> str:
+@pytest.fixture(scope="module")
+def small_motor() -> ServoConfig:
     """Committed configuration with a 1 A motor on axis 1."""
     table: dict[str, Any] = read_toml(SERVO_TOML)
     table["axis1"].setdefault("limits", {})["current"] = LIMIT
     table["axis1"].setdefault("rotor_search", {})["current"] = LIMIT
-    return as_toml(table)
-
-
-@pytest.fixture(scope="module")
-def firmware() -> Any:
-    return build_firmware(small_motor())
+    return ServoConfig.of_table(table)
 
 
 def label(board: Board) -> str:
@@ -54,18 +50,18 @@ def largest(board: Board, seconds: float, end: Callable[[], bool]) -> float:
 
 
 @pytest.mark.parametrize("start", [0.0, 0.4, math.pi / 2.0, 2.5])
-def test_the_rotor_search_stays_within_the_limit_of_the_motor(firmware: Any, start: float) -> None:
+def test_the_rotor_search_stays_within_the_limit_of_the_motor(small_motor: ServoConfig, start: float) -> None:
     plant = PlantConfig.load().with_axis(0, theta_start=start)
-    with fresh_board(plant, 3, firmware) as board:
+    with fresh_board(plant, 3, small_motor) as board:
         board.run(0.1)
         set_axis(board, "cmd.enable", 0, 1)
         current = largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
     assert 0.5 * LIMIT < current <= LIMIT + RIPPLE
 
 
-def test_failed_rotor_search_stays_within_the_limit_of_the_motor(firmware: Any) -> None:
+def test_failed_rotor_search_stays_within_the_limit_of_the_motor(small_motor: ServoConfig) -> None:
     """All phases of the search with full current: pulls in three directions and rotation of the vector."""
-    with fresh_board(PlantConfig.load(), 3, firmware) as board:
+    with fresh_board(PlantConfig.load(), 3, small_motor) as board:
         board.lock_shaft(0)
         board.run(0.1)
         set_axis(board, "cmd.enable", 0, 1)
@@ -73,8 +69,8 @@ def test_failed_rotor_search_stays_within_the_limit_of_the_motor(firmware: Any) 
     assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
 
 
-def test_stall_test_stays_within_the_limit_of_the_motor(firmware: Any) -> None:
-    with fresh_board(PlantConfig.load(), 3, firmware) as board:
+def test_stall_test_stays_within_the_limit_of_the_motor(small_motor: ServoConfig) -> None:
+    with fresh_board(PlantConfig.load(), 3, small_motor) as board:
         board.run(0.1)
         set_axis(board, "cmd.enable", 0, 1)
         largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
@@ -86,8 +82,8 @@ def test_stall_test_stays_within_the_limit_of_the_motor(firmware: Any) -> None:
     assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
 
 
-def test_sensorless_start_stays_within_the_limit_of_the_motor(firmware: Any) -> None:
-    with fresh_board(PlantConfig.load(), 3, firmware) as board:
+def test_sensorless_start_stays_within_the_limit_of_the_motor(small_motor: ServoConfig) -> None:
+    with fresh_board(PlantConfig.load(), 3, small_motor) as board:
         board.write("param.command_timeout", 0.0)
         board.write_raw("param.feedback", [1, 0])
         board.run(0.1)

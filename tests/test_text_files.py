@@ -16,8 +16,8 @@ from servo_msgs_py.text_file import TextFileError, decoded, parse_json, parse_to
 from servo_tuning.reading import load
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.diagnosis.thresholds import Thresholds
-from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import SERVO_TOML, servo_table
 
 from servo_bridge import parameter_file
 

@@ -192,12 +192,12 @@ void config_blocks_release(config_blocks_t *blocks) { blocks->reserved = 0; }
 
 /* ---- latching ------------------------------------------------------------------------------------------------------- */
 
-void config_blocks_init(config_blocks_t *blocks, config_status_t *status)
+void config_blocks_init(config_blocks_t *blocks, config_status_t *status, const servo_config_t *config)
 {
     *blocks = (config_blocks_t){0};
     *status = (config_status_t){.layout = AXIS_LAYOUT};
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        blocks->block[i][0] = servo_config.axis[i];
+        blocks->block[i][0] = config->axis[i];
     }
 }
 

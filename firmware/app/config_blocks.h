@@ -22,8 +22,8 @@ typedef struct {
     uint16_t pending; /* axes whose spare block is to be activated, one bit each */
 } config_blocks_t;
 
-/* Initialise the blocks in force with the built-in values. Stored values may replace them until config_blocks_begin. */
-void config_blocks_init(config_blocks_t *blocks, config_status_t *status);
+/* Initialise the blocks in force with the values of `config`. Stored values may replace them until config_blocks_begin. */
+void config_blocks_init(config_blocks_t *blocks, config_status_t *status, const servo_config_t *config);
 
 /* Block in force, to be written before config_blocks_begin only. */
 static inline axis_config_t *config_blocks_writable(config_blocks_t *blocks, uint16_t axis)

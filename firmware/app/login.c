@@ -4,10 +4,10 @@
 
 #define SPREAD 31U
 
-void login_passwords(access_passwords_t *passwords)
+void login_passwords(access_passwords_t *passwords, const servo_config_t *config)
 {
     for (uint16_t level = 0; level < ACCESS_LEVELS; level++) {
-        const uint8_t *digest = servo_config.password[level];
+        const uint8_t *digest = config->password[level];
         unsigned bits = 0;
         for (uint16_t i = 0; i < SHA1_SIZE; i++) {
             bits |= digest[i];

@@ -28,7 +28,7 @@ static void raise_on_all(servo_t *servo, finding_t finding)
     }
 }
 
-void servo_init(servo_t *servo, hal_t *hal)
+void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
 {
     servo->catalogue_hash = CATALOGUE_HASH;
     servo->boot_token = 0;
@@ -37,17 +37,14 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
     servo->config = (config_request_t){0};
-    servo->bus_braking_config = servo_config.bus_braking;
     const bool by_watchdog = hal_reset_by_watchdog(hal);
     event_log_init(&servo->event_log, by_watchdog);
-    config_blocks_init(&servo->config_blocks, &servo->config_status);
-    servo_restore(servo);
-    config_blocks_begin(&servo->config_blocks, &servo->config_status);
+    servo_restore(servo, config);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        const axis_config_t *config = config_blocks_in_force(&servo->config_blocks, i);
-        axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
-        servo->nominal.torque_constant[i] = config->torque_constant;
-        servo->nominal.acceleration_current[i] = config->acceleration_forward;
+        const axis_config_t *block = config_blocks_in_force(&servo->config_blocks, i);
+        axis_init(&servo->axis[i], block, hal, i, &servo->record[i], &servo->tick);
+        servo->nominal.torque_constant[i] = block->torque_constant;
+        servo->nominal.acceleration_current[i] = block->acceleration_forward;
     }
     for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         servo->monitor[i] = 0;
@@ -78,7 +75,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         raise_on_all(servo, FINDING_WATCHDOG_RESET);
     }
 
-    servo_host_init(servo);
+    servo_host_init(servo, config);
 }
 
 /* ---- parts of the interrupts ------------------------------------------------------------------------------------------ */

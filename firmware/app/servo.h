@@ -76,12 +76,12 @@ typedef struct servo {
     uint32_t samples[SERVO_SAMPLES / 4]; /* sample memory of both recorders */
 } servo_t;
 
-/* Initialise everything. */
-void servo_init(servo_t *servo, hal_t *hal);
+/* Initialise everything. The configuration is copied, except the hashes of the passwords. */
+void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config);
 
-/* Parts of servo_init: parameters and stored values; server, callbacks, passwords. */
-void servo_restore(servo_t *servo);
-void servo_host_init(servo_t *servo);
+/* Parts of servo_init: configuration, parameters and stored values; server, callbacks, passwords. */
+void servo_restore(servo_t *servo, const servo_config_t *config);
+void servo_host_init(servo_t *servo, const servo_config_t *config);
 
 /* Interrupts: t1 and t3 of DRM F34, captured encoder edge, hardware over-current latch. */
 void servo_m1_isr(servo_t *servo);

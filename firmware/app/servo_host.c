@@ -188,7 +188,7 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     }
 }
 
-void servo_host_init(servo_t *servo)
+void servo_host_init(servo_t *servo, const servo_config_t *config)
 {
     freemaster_app_t app = {
         .context = servo,
@@ -212,7 +212,7 @@ void servo_host_init(servo_t *servo)
         .nonce = nonce,
         .level_to_write = level_to_write,
     };
-    login_passwords(&app.passwords);
+    login_passwords(&app.passwords, config);
     freemaster_init(&servo->freemaster, &app);
 }
 

@@ -23,12 +23,12 @@ bool servo_storage_accept(servo_t *servo, uint16_t offset, bool whole, const uin
 }
 
 /* Values of the configuration in force. */
-static void default_parameters(servo_t *servo)
+static void default_parameters(servo_t *servo, const servo_config_t *given)
 {
     parameter_block_t *parameter = &servo->parameter;
-    parameter->host_timeout = servo_config.host_timeout;
-    parameter->command_timeout = servo_config.command_timeout;
-    parameter->brake = servo_config.bus_braking.fitted ? 1U : 0U;
+    parameter->host_timeout = given->host_timeout;
+    parameter->command_timeout = given->command_timeout;
+    parameter->brake = given->bus_braking.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = config_blocks_in_force(&servo->config_blocks, i);
         parameter->speed_limit[i] = config->speed_limit;
@@ -49,12 +49,15 @@ static void default_parameters(servo_t *servo)
     }
 }
 
-void servo_restore(servo_t *servo)
+void servo_restore(servo_t *servo, const servo_config_t *config)
 {
-    default_parameters(servo);
+    servo->bus_braking_config = config->bus_braking;
+    config_blocks_init(&servo->config_blocks, &servo->config_status, config);
+    default_parameters(servo, config);
     servo->storage_request = (storage_request_t){{0}};
     const storage_board_t board = storage_board(servo);
     storage_begin(&servo->storage, &servo->storage_status, &board);
+    config_blocks_begin(&servo->config_blocks, &servo->config_status);
 }
 
 void servo_storage_step(servo_t *servo)

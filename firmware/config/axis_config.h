@@ -99,6 +99,4 @@ typedef struct {
                     [SHA1_SIZE]; /* SHA-1 of the password per level, first ACCESS_VIEW; zeros: no password */
 } servo_config_t;
 
-extern const servo_config_t servo_config;
-
 #endif

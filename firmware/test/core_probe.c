@@ -1,5 +1,7 @@
 #include "core_probe.h"
 
+#include "config/servo_config.h"
+
 int32_t probe_asr32(int32_t x, uint16_t n) { return asr32(x, n); }
 int64_t probe_asr64(int64_t x, uint16_t n) { return asr64(x, n); }
 int16_t probe_sat16(int32_t x) { return sat16(x); }

@@ -157,8 +157,9 @@ void chip_interrupts(struct chip *chip, bool on) { enter(chip, FAKE_INTERRUPTS, 
 
 /* ---- application ------------------------------------------------------------------------------------------------ */
 
-void servo_init(servo_t *servo, hal_t *hal)
+void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
 {
+    (void)config;
     servo->hal = hal;
     enter(hal->chip, FAKE_SERVO, FAKE_INIT, 0);
     for (uint16_t axis = 0; axis < HAL_AXES; axis++) {

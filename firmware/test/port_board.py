@@ -42,7 +42,7 @@ class FakeBoard:
             assert self.init()
 
     def init(self) -> bool:
-        return bool(self.lib.port_init(self.hal, self.lib.fake_servo(self.chip)))
+        return bool(self.lib.port_init(self.hal, self.lib.fake_servo(self.chip), self.ffi.NULL))
 
     def isr(self, vector: int) -> list[Access]:
         """Accesses of the handler of a vector."""

@@ -86,7 +86,7 @@ class Bench:
         self.ticks = 0
         self.references: list[Any] = []  # objects to which the firmware has pointers
         core.lib.fake_hal_init(self.hal)
-        core.lib.servo_init(self.servo, self.hal)
+        core.lib.servo_init(self.servo, self.hal, core.lib.probe_config())
         self.servo.parameter.command_timeout = 0  # set-points do not expire
         for axis in range(2):
             # The board has no current at any voltage, which would be a lost phase.

@@ -92,7 +92,7 @@ def test_refused_writes_and_points_are_logged(quiet: Bench) -> None:
 def test_a_reset_by_the_watchdog_is_logged(core: Core) -> None:
     bench = Bench(core)
     bench.hal.reset_by_watchdog = True
-    core.lib.servo_init(bench.servo, bench.hal)
+    core.lib.servo_init(bench.servo, bench.hal, core.lib.probe_config())
     assert Console(bench).lines() == ["reset by the watchdog"]
 
 

@@ -271,7 +271,7 @@ def test_other_requests_are_refused_during_a_session(bench: Session) -> None:
 def test_reset_ends_a_session(bench: Session) -> None:
     assert bench.begin()
     change_all(bench)
-    bench.core.lib.servo_init(bench.servo, bench.hal)
+    bench.core.lib.servo_init(bench.servo, bench.hal, bench.core.lib.probe_config())
     assert (bench.state, bench.ended) == (NONE, END["NONE"])
     assert bench.read_words("param.faults_enabled")[0] != 0
 

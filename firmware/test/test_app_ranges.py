@@ -98,7 +98,7 @@ def test_both_ends_of_a_range_are_accepted(bench: Bench, name: str, write: Write
     for number in variable.raw_range:
         assert write(bench, bench.address(name), encoded(variable, number) * variable.count) == 0
         assert stored(bench, variable) == [number] * variable.count
-        bench.core.lib.servo_init(bench.servo, bench.hal)
+        bench.core.lib.servo_init(bench.servo, bench.hal, bench.core.lib.probe_config())
         for element in range(variable.count):
             assert write(bench, bench.address(name, element), encoded(variable, number)) == 0
             assert stored(bench, variable)[element] == number
@@ -236,4 +236,4 @@ def test_the_boot_token_is_written_once_after_each_reset(bench: Bench, write: Wr
             assert write(bench, address + part, bytes(4 - part)) == OUT_OF_RANGE
         bench.slow(3)
         assert stored(bench, variable) == [token]
-        bench.core.lib.servo_init(bench.servo, bench.hal)
+        bench.core.lib.servo_init(bench.servo, bench.hal, bench.core.lib.probe_config())

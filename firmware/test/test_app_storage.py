@@ -69,7 +69,7 @@ class StorageBench(BlockBench):
         ffi.memmove(self.servo, bytes(ffi.sizeof("servo_t")), ffi.sizeof("servo_t"))
         lib.fake_hal_init(self.hal)
         ffi.memmove(self.hal.flash, flash.tobytes(), flash.nbytes)
-        lib.servo_init(self.servo, self.hal)
+        lib.servo_init(self.servo, self.hal, lib.probe_config())
 
     @property
     def flash(self) -> Words:
@@ -516,7 +516,7 @@ def test_failed_verification_of_the_flash_is_reported(bench: StorageBench, wrong
 
 def test_a_board_without_data_flash_reports_it(bench: StorageBench) -> None:
     bench.hal.flash_absent = True
-    bench.core.lib.servo_init(bench.servo, bench.hal)
+    bench.core.lib.servo_init(bench.servo, bench.hal, bench.core.lib.probe_config())
     bench.to_stop()
     assert (bench.copies(), bench.source()) == (["ABSENT", "ABSENT"], "BUILT_IN")
     assert not bench.request(SAVE)

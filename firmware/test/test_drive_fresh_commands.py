@@ -130,7 +130,7 @@ def expiring(bench: Bench) -> Bench:
 
 def test_set_points_expire_half_a_second_after_reset(core: Core) -> None:
     bench = Bench(core)
-    core.lib.servo_init(bench.servo, bench.hal)
+    core.lib.servo_init(bench.servo, bench.hal, core.lib.probe_config())
     assert bench.servo.parameter.command_timeout * 0.5e-3 == 0.5
 
 

@@ -147,7 +147,7 @@ def test_late_loops_expire(bench: Bench) -> None:
 def test_a_reset_by_the_watchdog_keeps_the_board_off(core: Core) -> None:
     bench = Bench(core)
     bench.hal.reset_by_watchdog = True
-    core.lib.servo_init(bench.servo, bench.hal)
+    core.lib.servo_init(bench.servo, bench.hal, core.lib.probe_config())
     bench.slow(50)
     bench.write(0, enable=1)
     bench.slow(50)
@@ -168,7 +168,7 @@ def test_an_edge_from_before_a_reset_is_not_used_for_the_speed(bench: Bench) -> 
     encoder = bench.axis(0).encoder
     encoder.edge_waits, encoder.skip_edge = True, False
     encoder.edge = (100, 30)
-    bench.core.lib.servo_init(bench.servo, bench.hal)
+    bench.core.lib.servo_init(bench.servo, bench.hal, bench.core.lib.probe_config())
     assert not encoder.edge_waits
     encoder.edge_waits = True
     bench.axis(0).source.reset(bench.core.ffi.addressof(bench.axis(0)))

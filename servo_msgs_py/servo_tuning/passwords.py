@@ -42,14 +42,19 @@ def password_entries(value: object) -> Mapping[str, str]:
 
 
 def password_constants(entries: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
-    """Fields of ``servo_config_t``; an omitted level has no password.
+    """Fields of ``servo_config_t``; refusals as in `password_hashes`."""
+    return {f"password[{level}]": tuple(digest) for level, digest in password_hashes(entries).items()}
+
+
+def password_hashes(entries: Mapping[str, str]) -> dict[int, bytes]:
+    """SHA-1 of the password by index of the level; an omitted level has no password.
 
     Raises
     ------
     ConfigError
         If an environment variable is not set.
     """
-    return {f"password[{LEVELS.index(level)}]": tuple(_digest(level, entry)) for level, entry in entries.items()}
+    return {LEVELS.index(level): _digest(level, entry) for level, entry in entries.items()}
 
 
 def _digest(level: str, entry: str) -> bytes:

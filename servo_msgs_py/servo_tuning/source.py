@@ -33,7 +33,7 @@ def c_source(axes: Sequence[AxisConstants], brake: Mapping[str, int], board: Map
     rest = "\n".join(f"    .{name} = {_literal(value)}," for name, value in board.items())
     bus = "\n".join(f"        .{name} = {value}," for name, value in brake.items())
     return f"""{_BANNER}
-#include "config/axis_config.h"
+#include "config/servo_config.h"
 
 /* clang-format off */
 const servo_config_t servo_config = {{

@@ -5,8 +5,37 @@
 
 #include "app/variables.h"
 #include "comm/status.h"
+#include "config/axis_members.h"
+#include "config/servo_config.h"
 
 #define OPERATION_ROOM 24u /* bytes of an operation of SETREC, at most */
+
+void board_servo_config(const board_config_t *config, servo_config_t *servo)
+{
+    const board_servo_config_t *given = config->servo;
+    *servo = servo_config;
+    if (given == NULL) {
+        return;
+    }
+    for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
+        for (uint16_t k = 0; k < AXIS_MEMBERS; k++) {
+            axis_member_set(&servo->axis[axis], k, given->member[axis][k]);
+        }
+    }
+    servo->bus_braking = (bus_braking_config_t){
+        .fitted = given->fitted != 0,
+        .on = (frac16_t)given->on,
+        .off = (frac16_t)given->off,
+        .heating = given->heating,
+        .cooling = given->cooling,
+        .start = (frac16_t)given->start,
+        .full = (frac16_t)given->full,
+        .u_dc_max_braking = (frac16_t)given->u_dc_max_braking,
+    };
+    servo->host_timeout = (uint16_t)given->host_timeout;
+    servo->command_timeout = (uint16_t)given->command_timeout;
+    memcpy(servo->password, given->password, sizeof servo->password);
+}
 
 size_t board_snapshot_size(void) { return sizeof(snapshot_t); }
 

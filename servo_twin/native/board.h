@@ -85,6 +85,15 @@ typedef struct {
     uint32_t entry_cycles; /* overhead of an interrupt: vector, registers saved and restored [cycles] */
 } board_core_t;
 
+/* Configuration of the firmware, raw numbers as in firmware/config/axis_config.h. */
+typedef struct {
+    const int32_t *member[2]; /* block of each axis, in the order of the members in axis_config.toml */
+    int32_t fitted; /* bus_braking_config_t: a brake resistor is fitted [1] */
+    int32_t on, off, heating, cooling, start, full, u_dc_max_braking; /* the rest of bus_braking_config_t */
+    int32_t host_timeout, command_timeout; /* [slow ticks] */
+    uint8_t password[3][20]; /* SHA-1 by level; zeros: no password */
+} board_servo_config_t;
+
 typedef struct {
     plant_axis_t axis[2];
     plant_bus_t bus;
@@ -94,6 +103,7 @@ typedef struct {
     board_core_t core;
     uint64_t seed; /* seed of all random numbers */
     const uint8_t *flash; /* image of the data flash, board_flash_size() bytes; NULL: erased */
+    const board_servo_config_t *servo; /* NULL: that of firmware/config/servo.toml */
 } board_config_t;
 
 /* True state of the plant; reading it changes nothing. At register level that of the present clock, at the ideal level that of the

@@ -8,14 +8,16 @@
 struct board {
     servo_t servo;
     hal_t chip;
+    servo_config_t config;
 };
 
 board_t *board_new(const board_config_t *config)
 {
     board_t *board = (board_t *)calloc(1, sizeof *board);
     if (board != NULL) {
-        chip_init(&board->chip, config, &board->servo);
-        servo_init(&board->servo, &board->chip);
+        board_servo_config(config, &board->config);
+        chip_init(&board->chip, config, &board->servo, &board->config);
+        servo_init(&board->servo, &board->chip, &board->config);
     }
     return board;
 }

@@ -8,6 +8,9 @@
 #include "board.h"
 #include "flash.h"
 
+/* The configuration of the servo of a new board. */
+void board_servo_config(const board_config_t *config, servo_config_t *servo);
+
 /* The servo, after its boot. */
 servo_t *board_servo(board_t *board);
 

@@ -19,6 +19,7 @@ struct board {
     chip_t chip;
     servo_t servo;
     hal_t hal;
+    servo_config_t config;
     double baud; /* of the serial line [bit/s] */
     void *allocated; /* memory that holds the board */
     uint64_t time_ns;  /* since `zero` [ns] */
@@ -209,7 +210,7 @@ static void boot(void *self)
     memset(&board->hal, 0, sizeof board->hal);
     board->hal.chip = &board->chip;
     board->hal.baud = (uint32_t)(board->baud + 0.5); /* the same for both ends of the line */
-    board->up = port_init(&board->hal, &board->servo);
+    board->up = port_init(&board->hal, &board->servo, &board->config);
 }
 
 static uint32_t interrupt(void *self, unsigned vector)
@@ -268,6 +269,7 @@ board_t *board_new(const board_config_t *config)
     board_t *board = (board_t *)(void *)(room + SWITCHING_LINE - (uintptr_t)room % SWITCHING_LINE);
     board->allocated = room;
     board->baud = config->baud;
+    board_servo_config(config, &board->config);
     switching_init(&board->plant, config);
     const chip_config_t chip = {
         .wiring = wiring,

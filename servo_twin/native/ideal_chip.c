@@ -15,9 +15,10 @@ static const chip_axis_t at_reset = {
     .offsets = {.phase = pair_phases[PHASE_PAIR_AB]},
 };
 
-void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
+void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo, const servo_config_t *servo_config)
 {
     chip->servo = servo;
+    chip->servo_config = servo_config;
     plant_init(&chip->plant, config);
     uart_init(&chip->uart, config->baud);
     flash_init(&chip->flash, config->flash, config->seed);
@@ -119,7 +120,7 @@ static void watch_dog(hal_t *chip)
     chip->stalled_ns = 0;
     chip->served_ns = chip->now_ns;
     memset(chip->servo, 0, sizeof *chip->servo);
-    servo_init(chip->servo, chip);
+    servo_init(chip->servo, chip, chip->servo_config);
 }
 
 /* Currents of one axis, offsets of the other. */

@@ -33,6 +33,7 @@ typedef struct {
 
 struct hal {
     servo_t *servo;
+    const servo_config_t *servo_config;
     plant_t plant;
     uart_t uart;
     flash_t flash;
@@ -53,7 +54,7 @@ struct hal {
 };
 
 /* Initialise the chip as after a reset; the caller initialises the firmware afterwards. */
-void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo);
+void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo, const servo_config_t *servo_config);
 
 /* Cut or repair the wire of a pin. */
 void chip_cut_wire(hal_t *chip, int axis, int pin, bool cut);

@@ -11,7 +11,7 @@ import os
 import re
 import sys
 import sysconfig
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from cffi import FFI
@@ -83,17 +83,11 @@ def _relative(paths: Iterable[Path]) -> list[str]:
     return [os.path.relpath(path) for path in paths]
 
 
-def _absolute(paths: Iterable[Path]) -> list[str]:
-    """Absolute paths, for a compiler with another working directory."""
-    return [str(path.resolve()) for path in paths]
-
-
 def make_ffi(
     module: str,
     native: Iterable[Path],
     options: Iterable[str] = (),
     sources: Iterable[Path] | None = None,
-    paths: Callable[[Iterable[Path]], list[str]] = _relative,
 ) -> FFI:
     """Build description of one extension module; `sources` replaces the sources of the firmware."""
     headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
@@ -103,7 +97,7 @@ def make_ffi(
     builder.set_source(
         module,
         _PREAMBLE,
-        sources=paths(
+        sources=_relative(
             [
                 NATIVE / "board.c",
                 NATIVE / "flash.c",
@@ -112,8 +106,8 @@ def make_ffi(
                 *(sources or firmware_sources()),
             ]
         ),
-        include_dirs=paths([NATIVE, FIRMWARE]),
-        depends=paths(headers),
+        include_dirs=_relative([NATIVE, FIRMWARE]),
+        depends=_relative(headers),
         libraries=["m"],
         extra_compile_args=[*OPTIONS, *WARNINGS, *options, *_EXTRA, f"-isystem{sysconfig.get_paths()['include']}"],
         extra_link_args=_EXTRA,
@@ -135,15 +129,6 @@ def charged_sources() -> list[Path]:
     return write_charged(
         [*firmware_sources(), *sorted(PORT.glob("*.c"))], FIRMWARE, _ON_HOST, PACKAGE / "build" / "charged"
     )
-
-
-def board_ffi(module: str, level: str, config: Path) -> FFI:
-    """Build description with another ``servo_config_gen.c``, for `cffi.FFI.compile` in a separate folder."""
-    native, options, sources = (
-        (_IDEAL, [], firmware_sources()) if level == "ideal" else (_REGISTERS, _ON_HOST, charged_sources())
-    )
-    sources = [config if path.name == "servo_config_gen.c" else path for path in sources]
-    return make_ffi(module, native, options, sources, _absolute)
 
 
 def ffi() -> FFI:

@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.board_memory import BoardError, BoardMemory
+from servo_twin.board_memory import BoardError, BoardMemory, SimulationError
 from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
 from servo_twin.level import Level, chosen_level
 from servo_twin.plant import FIXED_NAMES, PlantConfig, PlantError
+from servo_twin.servo_config import ServoConfig
 
 try:
     import servo_twin._native as _ideal_module
@@ -43,30 +44,25 @@ __all__ = [
     "BoardError",
     "BoardStats",
     "ChipError",
-    "Firmware",
     "FlashState",
     "SimulationError",
     "Truth",
 ]
 
 
-class Firmware(NamedTuple):
+class _Firmware(NamedTuple):
     """Firmware, chip and plant, compiled by cffi."""
 
     ffi: Any
     lib: Any
 
 
-_FIRMWARE: Final[Mapping[Level, Firmware]] = {
-    "registers": Firmware(_registers_module.ffi, _registers_module.lib),
-    "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib),
+_FIRMWARE: Final[Mapping[Level, _Firmware]] = {
+    "registers": _Firmware(_registers_module.ffi, _registers_module.lib),
+    "ideal": _Firmware(_ideal_module.ffi, _ideal_module.lib),
 }
 
 _IDLE: Final = (1 << 64) - 1
-
-
-class SimulationError(RuntimeError):
-    """The simulation failed; the message contains the reason."""
 
 
 class ChipError(BoardError, SimulationError):
@@ -159,8 +155,8 @@ class Board:
         ``registers``.
     core : CoreSpeed, optional
         Execution time of the core at level ``registers``; the packaged ``core.toml`` by default.
-    firmware : Firmware, optional
-        Firmware with another configuration (`servo_twin.firmware_build`), compiled for this level.
+    servo : ServoConfig, optional
+        Configuration of the firmware; that of ``firmware/config/servo.toml``, compiled in, by default.
     flash : bytes, optional
         Contents of the data flash: `flash_image` of another board; erased by default.
     """
@@ -174,7 +170,7 @@ class Board:
         catalogue: Catalogue | None = None,
         level: Level | None = None,
         core: CoreSpeed | None = None,
-        firmware: Firmware | None = None,
+        servo: ServoConfig | None = None,
         flash: bytes | None = None,
     ) -> None:
         if not 0 <= seed < 1 << 64:
@@ -182,7 +178,7 @@ class Board:
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
         self.level = chosen_level(level)
-        self._ffi, self._lib = firmware or _FIRMWARE[self.level]
+        self._ffi, self._lib = _FIRMWARE[self.level]
         self.plant = plant or PlantConfig.load()
         self._seed = seed
         self.catalogue = catalogue or Catalogue.load()
@@ -191,10 +187,13 @@ class Board:
             if len(flash) != self._lib.board_flash_size():
                 raise ValueError(f"the flash image has {len(flash)} bytes instead of {self._lib.board_flash_size()}")
             config.flash = self._ffi.from_buffer("uint8_t[]", flash)  # board_new copies the image
+        if servo is not None:
+            native = servo.native(self._ffi)  # kept until board_new has copied it
+            config.servo = native[0]
         handle = self._lib.board_new(config)
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
-        config.flash = self._ffi.NULL
+        config.flash = config.servo = self._ffi.NULL
         self._config = config
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._own_memory = BoardMemory(self._ffi, self._lib, self._handle)

@@ -17,6 +17,10 @@ _STATUS_TEXT: Final[Mapping[int, str]] = {
 }
 
 
+class SimulationError(RuntimeError):
+    """The simulation failed; the message contains the reason."""
+
+
 class BoardError(RuntimeError):
     """The board refused a request."""
 

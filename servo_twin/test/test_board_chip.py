@@ -22,7 +22,7 @@ class Chip:
         self.servo = native.ffi.new("servo_t *")
         self.hal = native.ffi.new("hal_t *")
         self.servo.hal = self.hal
-        native.lib.chip_init(self.hal, c_config(native, plant, baud=baud), self.servo)
+        native.lib.chip_init(self.hal, c_config(native, plant, baud=baud), self.servo, native.ffi.NULL)
 
     def run(self, until_ns: int) -> None:
         self.lib.chip_run(self.hal, until_ns, False)

@@ -25,8 +25,8 @@ def test_other_motors_agree(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_missing_derating_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the feature the current is not derated."""
     monkeypatch.setattr(rig, "features", lambda *_, **__: None)
-    world, text, nominal, true = configured(PLANT, QUICK)
-    found = time_series(world, SEED, text, 2.5)
+    world, servo, nominal, true = configured(PLANT, QUICK)
+    found = time_series(world, SEED, servo, 2.5)
     for it, model, real in zip(found, nominal, true, strict=True):
         wrong = {row.name for row in winding.figures(Judge(), it, model, real) if not row.agrees}
         assert {"time until derating", "final current", "final winding temperature"} <= wrong

@@ -22,13 +22,13 @@ from servo_tuning.reading import load
 from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main
-from servo_twin.firmware_build import servo_table
 from servo_twin.identification.files import write_estimates
 from servo_twin.identification.motors import random_motor
 from servo_twin.identification.refine import covariance
 from servo_twin.identification.session import identified, measure_virtual
 from servo_twin.identification.trials import TARGETS, Trial, Trials, summary
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import servo_table
 
 AXIS = 1
 LIMITS = Limits(24.0, 4.0, r_on=0.03)

@@ -17,10 +17,10 @@ from servo_tuning.errors import ConfigError, with_value
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main
-from servo_twin.firmware_build import servo_table
 from servo_twin.identification.motors import wide_motor
 from servo_twin.identification.session import identified, measure_virtual
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import servo_table
 
 PLANT: Final = PlantConfig.load()
 OPTIONS: Final = {"--current": "current", "--voltage": "voltage", "--speed-max": "speed", "--turns-max": "turns"}

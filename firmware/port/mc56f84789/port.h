@@ -10,7 +10,7 @@
 #include "port/mc56f84789/hal_data.h"
 
 /* False if clock or converter do not come up: the outputs stay off, and the watchdog will try again. */
-bool port_init(hal_t *hal, servo_t *servo);
+bool port_init(hal_t *hal, servo_t *servo, const servo_config_t *config);
 
 /* Handlers, by what they are for. */
 void port_start(hal_t *hal); /* PWMA SM0 VAL5, once (DRM 4.3.3) */

@@ -45,7 +45,7 @@ static bool peripherals_init(hal_t *hal)
     return adc_init(hal);
 }
 
-bool port_init(hal_t *hal, servo_t *servo)
+bool port_init(hal_t *hal, servo_t *servo, const servo_config_t *config)
 {
     state_init(hal, servo);
     cop_stop(hal);
@@ -53,7 +53,7 @@ bool port_init(hal_t *hal, servo_t *servo)
         cop_start(hal);
         return false;
     }
-    servo_init(servo, hal);
+    servo_init(servo, hal, config);
     pwm_run(hal);
     sequence_arm(hal);
     cop_start(hal);

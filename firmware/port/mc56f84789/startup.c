@@ -3,12 +3,14 @@
 
 #ifndef CHIP_ON_HOST
 
+#include "config/servo_config.h"
+
 hal_t startup_hal;
 static servo_t servo;
 
 int main(void)
 {
-    if (port_init(&startup_hal, &servo)) {
+    if (port_init(&startup_hal, &servo, &servo_config)) {
         for (;;) {
             servo_background(&servo);
         }

@@ -19,7 +19,6 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
-from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
 from servo_twin.identification.motors import random_motor, wide_motor
 from servo_twin.identification.refine import DETAILED_MODEL
@@ -28,6 +27,7 @@ from servo_twin.identification.trials import Trial, Trials, summary
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
+from servo_twin.servo_config import SERVO_TOML, servo_table
 from servo_twin.simulation import SimulationError
 
 _HELP: Final = """\

@@ -14,10 +14,10 @@ from servo_measurement.motor_values import COVERAGE, UNITS
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.figure import new_figure, write_figure
 
-from servo_twin.firmware_build import as_toml
 from servo_twin.identification.refine import plant_of
 from servo_twin.identification.session import Identified, rows_of
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import as_toml
 
 _PLANT: Final = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "friction", "viscous", "r_on", "v_drop")
 """Values of an axis in the plant file."""

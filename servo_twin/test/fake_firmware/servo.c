@@ -24,7 +24,11 @@ static void fast(servo_t *servo, int kind, uint16_t axis)
     hal_watchdog_service(servo->hal);
 }
 
-void servo_init(servo_t *servo, hal_t *hal) { servo->hal = hal; }
+void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
+{
+    (void)config;
+    servo->hal = hal;
+}
 
 void servo_m1_isr(servo_t *servo) { fast(servo, CALL_M1, 0); }
 

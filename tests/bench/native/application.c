@@ -1,6 +1,7 @@
 /* application.c - the complete two-axis application as on a chip, to measure its size. */
 #include "app/servo.h"
 #include "bench_board.h"
+#include "config/servo_config.h"
 #include "machine.h"
 
 static servo_t servo;
@@ -31,7 +32,7 @@ int main(void)
 {
     machine_start();
     bench_board_init(&hal);
-    servo_init(&servo, &hal);
+    servo_init(&servo, &hal, &servo_config);
     for (volatile uint32_t i = 0;; i++) {
         if (i < 6U) {
             application_vectors[i](); /* in place of the interrupts, so that the linker keeps all handlers */

@@ -10,6 +10,7 @@
 
 #include "app/servo.h"
 #include "bench_board.h"
+#include "config/servo_config.h"
 #include "drive/motion.h"
 #include "drive/sensorless_estimate.h"
 #include "machine.h"
@@ -147,7 +148,7 @@ int main(void)
 {
     machine_start();
     bench_board_init(&hal);
-    servo_init(&servo, &hal);
+    servo_init(&servo, &hal, &servo_config);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         servo.parameter.faults_enabled[i] = 0; /* these motors are too simple for every monitor */
         servo.parameter.feedback[i] =

@@ -5,7 +5,7 @@
 #include "app/event_log.h"
 #include "comm/access.h"
 #include "comm/sha1.h"
-#include "config/axis_config.h"
+#include "config/servo_config.h"
 #include "control/current_loop.h"
 #include "control/field_weakening.h"
 #include "control/friction.h"

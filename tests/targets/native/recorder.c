@@ -264,7 +264,7 @@ static void end(const servo_t *servo)
 /* ---- entry points ----------------------------------------------------------------------------------------------- */
 
 /* Linker option --wrap: a call of NAME is a call of __wrap_NAME; the original is __real_NAME. */
-void __real_servo_init(servo_t *servo, hal_t *hal);
+void __real_servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config);
 void __real_servo_m1_isr(servo_t *servo);
 void __real_servo_m2_isr(servo_t *servo);
 void __real_servo_background(servo_t *servo);
@@ -303,10 +303,10 @@ void __real_hal_flash_erase(hal_t *hal, uint16_t sector);
 void __real_hal_flash_program(hal_t *hal, uint16_t word, uint32_t value);
 hal_flash_t __real_hal_flash_result(hal_t *hal);
 
-void __wrap_servo_init(servo_t *servo, hal_t *hal)
+void __wrap_servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
 {
     begin(CALL_INIT, 0);
-    __real_servo_init(servo, hal);
+    __real_servo_init(servo, hal, config);
     end(servo);
 }
 

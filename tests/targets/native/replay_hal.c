@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "config/servo_config.h"
+
 /* ---- hal/hal.h -------------------------------------------------------------------------------------------------- */
 
 static uint16_t take(hal_t *hal)
@@ -227,7 +229,7 @@ bool replay_call(servo_t *servo, hal_t *hal, const trace_call_t *call)
     const uint16_t axis = call->axis % HAL_AXES;
     switch (call->call) {
     case CALL_INIT:
-        servo_init(servo, hal);
+        servo_init(servo, hal, &servo_config);
         return true;
     case CALL_M1:
         servo_m1_isr(servo);

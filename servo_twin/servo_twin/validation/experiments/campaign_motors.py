@@ -1,4 +1,4 @@
-"""Motors of the experiment fault-campaign: the plant's and others, each with a firmware tuned for it."""
+"""Motors of the experiment fault-campaign: the plant's and others, each with a configuration tuned for it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from typing import Any, Final
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.text_file import read_toml
 
-from servo_twin.board import Board, Firmware
-from servo_twin.firmware_build import as_toml, build_firmware, servo_table
-from servo_twin.level import Level
+from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.simulation import SimulationError
-from servo_twin.validation.experiments.rig import fresh_board, level
+from servo_twin.validation.experiments.rig import fresh_board
 
 OWN: Final = ("axis1", "axis2")
 """Names of the motors of the plant."""
@@ -98,13 +97,9 @@ class Motor:
         start_up = {**servo["defaults"]["start_up"], **own.get("start_up", {})}
         return SLOWEST * float(start_up["minimum_speed"])
 
-    def firmware(self) -> Firmware | None:
-        """Firmware for the board, of the level `rig.level`; None: the standard firmware."""
-        return _firmware(self.group, level()) if self.group else None
-
     def board(self, plant: PlantConfig, seed: int) -> Board:
         """New board with a plant that may deviate from the nominal values."""
-        return fresh_board(plant, seed, self.firmware())
+        return fresh_board(plant, seed, _configuration(self.group) if self.group else None)
 
 
 def _truth(table: Mapping[str, Any]) -> dict[str, float]:
@@ -114,15 +109,10 @@ def _truth(table: Mapping[str, Any]) -> dict[str, float]:
 
 
 @functools.cache
-def _firmware(group: str, kind: Level) -> Firmware:
-    """Firmware of a group, built once per process."""
-    return build_firmware(_configuration(group), kind)
-
-
-def _configuration(group: str) -> str:
-    """Text of the ``servo.toml`` for two motors."""
+def _configuration(group: str) -> ServoConfig:
+    """Configuration for the two motors of a group."""
     motors = {axis_name(axis): {"feedback": "encoder", **_TABLES[name]} for axis, name in enumerate(group.split())}
-    return as_toml({**servo_table(), **motors})
+    return ServoConfig.of_table({**servo_table(), **motors})
 
 
 def deviating(plant: PlantConfig, rng: random.Random) -> PlantConfig:

@@ -41,7 +41,7 @@ from servo_twin.validation.experiments.rig import TICK, TICK_NS, at_level, level
 
 NAME: Final = "fault-campaign"
 HELP: Final = """\
-Beyond the reference design. Random trials: one of several motors, each with a firmware tuned for it and a plant that
+Beyond the reference design. Random trials: one of several motors, each with gains tuned for it and a plant that
 deviates from its nominal data; one of many operating states, with or without an encoder; one kind of fault with random
 parameters at a random time. If the fault has no effect in that state, the axis is then commanded to move. Criteria:
 the reported fault, no motion by the drive afterwards, and continued operation of the other axis unless bus or core are

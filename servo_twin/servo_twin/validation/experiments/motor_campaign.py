@@ -27,13 +27,11 @@ from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.tuned import tuned
 
 from servo_msgs_py import argument
-from servo_twin.board import Board, Firmware
-from servo_twin.firmware_build import as_toml, build_firmware, servo_table
+from servo_twin.board import Board
 from servo_twin.level import Level
-from servo_twin.lockstep.blocks import blocks_of_configuration, write_blocks
-from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner, run_in_order
+from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.simulation import SimulationError, enable, move
 from servo_twin.validation.experiments.outcome import BEYOND, Bound, Outcome, Row
 from servo_twin.validation.experiments.rig import at_level, fresh_board, level
@@ -135,12 +133,6 @@ def _with_brake() -> dict[str, Any]:
         "regeneration": {"start_voltage": 34.5, "full_voltage": 35.5},
     }
     return table
-
-
-@functools.cache
-def _firmware(kind: Level) -> Firmware:
-    """Firmware with these thresholds, which are not part of a configuration block; built once per process."""
-    return build_firmware(as_toml(_with_brake()), kind)
 
 
 def data_sheet(motor: OwnMotor) -> dict[str, Any]:
@@ -269,8 +261,7 @@ def _with_motor(plant: PlantConfig, motor: OwnMotor) -> PlantConfig:
 def _driven(result: Result, configuration: Configuration, plant: PlantConfig, seed: int) -> Result:
     axis = configuration.axes[0]
     search = RotorSearch.of(axis, configuration.board)
-    with fresh_board(plant, seed + result.number, _firmware(level())) as board:
-        write_blocks(Replica(board), blocks_of_configuration(configuration))
+    with fresh_board(plant, seed + result.number, ServoConfig.of(configuration)) as board:
         searching = enable(board, search.time_max + 1.0)
         planned = _planned(configuration)
         moves = _moves(board, DURATION_MAX * planned + SETTLING + 1.0)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.board import Board, Firmware
+from servo_twin.board import Board
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.servo_config import ServoConfig
 from servo_twin.simulation import SimulationError, enable, keep_set_points
 
 TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
@@ -109,9 +110,9 @@ def prepared(prepare: Callable[[Board], None]) -> Iterator[None]:
         _prepare.reset(token)
 
 
-def fresh_board(plant: PlantConfig, seed: int, firmware: Firmware | None = None) -> Board:
+def fresh_board(plant: PlantConfig, seed: int, servo: ServoConfig | None = None) -> Board:
     """New board of the level `level`; its set-points do not expire."""
-    board = Board(plant, seed=seed, level=level(), firmware=firmware)
+    board = Board(plant, seed=seed, level=level(), servo=servo)
     keep_set_points(board)
     if (prepare := _prepare.get()) is not None:
         prepare(board)

@@ -9,14 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_tuning.reading import loads
+from servo_tuning.reading import parse
 from servo_tuning.winding import STEP_TICKS, Winding
 
 from servo_twin.board import Board
-from servo_twin.firmware_build import as_toml, servo_table
-from servo_twin.lockstep.blocks import blocks_of_file, write_blocks
-from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.simulation import enable
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.rig import SETTLED, TICK, fresh_board, set_up, word
@@ -97,7 +95,9 @@ class TimeSeries:
         return float(self.time[np.argmax(derated)]) if derated.any() else None
 
 
-def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig, str, list[Winding], list[Winding]]:
+def configured(
+    plant: PlantConfig, motors: Sequence[Motor]
+) -> tuple[PlantConfig, ServoConfig, list[Winding], list[Winding]]:
     """Plant with these motors, its configuration, and the nominal and true windings.
 
     The nominal thermal resistance follows from rated current, maximum temperature and ambient temperature of the plant.
@@ -109,8 +109,8 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
         entry["motor"] = {**entry["motor"], "rated_current": motor.rated, "r_s": motor.r_s or plant.axes[axis].r_s}
         entry["winding"] = {"heat_capacity": motor.capacity}
         table[axis_name(axis)] = entry
-    text = as_toml(table)
-    nominal = [Winding.of(axis) for axis in loads(text, Catalogue.load()).axes]
+    configuration = parse(table, Catalogue.load())
+    nominal = [Winding.of(axis) for axis in configuration.axes]
     true: list[Winding] = []
     for axis, (motor, winding) in enumerate(zip(motors, nominal, strict=True)):
         true.append(
@@ -127,13 +127,12 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
             winding_capacity=true[axis].capacity,
             viscous=plant.axes[axis].torque_constant * winding.current / REACHED,
         )
-    return plant, text, nominal, true
+    return plant, ServoConfig.of(configuration), nominal, true
 
 
-def time_series(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[TimeSeries]:
+def time_series(plant: PlantConfig, seed: int, servo: ServoConfig, seconds: float = SECONDS) -> list[TimeSeries]:
     """Run cold motors for `seconds` [s] with the largest current from the start."""
-    with fresh_board(plant, seed) as board:
-        write_blocks(Replica(board), blocks_of_file(text, board.catalogue))
+    with fresh_board(plant, seed, servo) as board:
         enable(board)
         board.run(SETTLED)
         for axis in range(AXES):
@@ -166,8 +165,8 @@ def _record(board: Board, seconds: float) -> list[TimeSeries]:
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, every case."""
     for case in CASES:
-        changed_plant, text, nominal, true = configured(plant, case.motors)
-        found = time_series(changed_plant, seed, text, SECONDS)
+        changed_plant, servo, nominal, true = configured(plant, case.motors)
+        found = time_series(changed_plant, seed, servo, SECONDS)
         for axis, (series, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
             name = f"{axis_name(axis)}, {case.name}"
             yield from figures(Judge(f"{name}: "), series, model, winding)

@@ -29,7 +29,8 @@ typedef struct {
     bool has_pending;
 } servo_t;
 
-void servo_init(servo_t *servo, hal_t *hal);
+typedef struct servo_config servo_config_t;
+void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config);
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);
 void servo_edge_isr(servo_t *servo, uint16_t axis);

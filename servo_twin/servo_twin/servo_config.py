@@ -1,0 +1,95 @@
+"""The configuration of the firmware, ``servo.toml``, and its integers for a virtual board."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.text_file import TextFileError, read_toml
+from servo_tuning.braking import brake_constants
+from servo_tuning.configuration import Configuration
+from servo_tuning.constants import time_outs
+from servo_tuning.passwords import password_hashes
+from servo_tuning.reading import parse
+from servo_tuning.tuned import tuned
+
+from servo_twin.board_memory import SimulationError
+
+SERVO_TOML: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
+"""File of the checkout; missing in an installed package."""
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """Integers of ``servo_config_t``, as tuned from a ``servo.toml``."""
+
+    blocks: tuple[tuple[int, ...], ...]  # raw members of each axis, in the order of the table
+    board: Mapping[str, int]  # fields of ``bus_braking_config_t``, and timeouts [slow ticks]
+    passwords: Mapping[int, bytes]  # SHA-1 by level; an omitted level has no password
+
+    @classmethod
+    def of(cls, configuration: Configuration) -> ServoConfig:
+        """Compute the integers. Raises `ConfigError` if the configuration cannot work."""
+        members = AxisConfigTable.load()
+        return cls(
+            tuple(tuple(members.words(tuned(axis, configuration).block)) for axis in configuration.axes),
+            {**brake_constants(configuration), **time_outs(configuration.board)},
+            password_hashes(configuration.board.passwords),
+        )
+
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> ServoConfig:
+        """Compute the integers for a parsed ``servo.toml``. Raises `ConfigError` if it cannot work."""
+        return cls.of(parse(table, Catalogue.load()))
+
+    def native(self, ffi: Any) -> tuple[Any, object]:
+        """``board_servo_config_t *``, and the memory that it refers to, which the caller has to keep."""
+        servo = ffi.new("board_servo_config_t *")
+        members = [ffi.new("int32_t[]", block) for block in self.blocks]
+        servo.member = members
+        for name, value in self.board.items():
+            setattr(servo, name, value)
+        for level, digest in self.passwords.items():
+            servo.password[level] = list(digest)
+        return servo, members
+
+
+@functools.cache
+def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
+    """A parsed ``servo.toml``; cached, do not modify it.
+
+    Raises
+    ------
+    SimulationError
+        If the file does not exist or is no TOML.
+    """
+    if not path.is_file():
+        raise SimulationError(f"no such file: {path}")
+    try:
+        return read_toml(path)
+    except TextFileError as error:
+        raise SimulationError(f"{path}: {error}") from None
+
+
+def as_toml(table: Mapping[str, Any], name: str = "") -> str:
+    """Nested tables as TOML; values: numbers, booleans, strings and lists of these."""
+    groups = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    entries = [f"{key} = {_value(value)}\n" for key, value in table.items() if key not in groups]
+    head = f"[{name}]\n" if name else ""
+    prefix = f"{name}." if name else ""
+    return head + "".join(entries) + "".join(as_toml(group, prefix + key) for key, group in groups.items())
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return repr(value)
