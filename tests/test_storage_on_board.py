@@ -16,14 +16,16 @@ from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import write_memory
 from servo_bridge.freemaster.line import Line
 from servo_bridge.tuning.block_session import BlockSession
+from servo_bridge.tuning.plan import computed
 from servo_bridge.wire.session import connect
+from servo_msgs_py.blocks_message import blocks_message
 from servo_msgs_py.board_storage import StorageRefusedError, begin_request, execute_request
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.board import Board
 from servo_twin.level import Level
 from servo_twin.lockstep.replica import Replica
-from std_msgs.msg import String
+from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import Trigger
 from test_tune_on_board import BAUD, ToolBench, edited
 
@@ -157,7 +159,7 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
     chain, flash = Chain(tmp_path, FAST_BAUD, level="ideal"), tmp_path / "flash.bin"
     with ros_user() as user:
         storage = StorageClient(user)
-        user.listen("/servo/tuning", String, latched_qos())
+        user.listen("/servo/tuning", Int64MultiArray, latched_qos())
         try:
             board = chain.board(flash=flash)
             gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
@@ -176,7 +178,8 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
             chain.twin()
             user.until(user.connected, 30.0, "the bridge is not connected again")
             assert storage.until_status("values of copy A since the reset; newest set 1").level == DiagnosticStatus.OK
-            user.until(lambda: "position_gain = 50" in user.last("/servo/tuning"), 30.0, "the gains are not known")
+            stored = blocks_message(computed(gains, Catalogue.load()).blocks).data
+            user.until(lambda: user.last("/servo/tuning") == stored, 30.0, "the gains are not known")
             user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
 
             user.enable_axes()

@@ -10,10 +10,11 @@ from chain import FAST_BAUD, User, followed_board
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from servo_msgs_py.blocks_message import blocks_from_message
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.lockstep.blocks import blocks_of_file
-from std_msgs.msg import String
+from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import SetBool
 from test_tune_on_board import CONFIG, edited
 
@@ -28,11 +29,14 @@ class TuningClient:
 
     def __init__(self, user: User) -> None:
         self.user = user
-        self.files: list[str] = []
+        self.blocks: list[dict[int, tuple[int, ...]]] = []
         self._tune = user.node.create_client(SetBool, "/servo/tune")
         self._parameters = user.node.create_client(SetParameters, "/servo/servo_bridge/set_parameters")
         user.node.create_subscription(
-            String, "/servo/tuning", lambda message: self.files.append(message.data), latched_qos()
+            Int64MultiArray,
+            "/servo/tuning",
+            lambda message: self.blocks.append(blocks_from_message(message)),
+            latched_qos(),
         )
 
     def call(self, file: Path, *, send: bool) -> tuple[bool, str]:
@@ -49,9 +53,9 @@ class TuningClient:
             self.user.until(future.done, 30.0, "no answer")
         return bool(future.result().success), str(future.result().message)
 
-    def until_published(self, count: int) -> str:
-        self.user.until(lambda: len(self.files) >= count, 30.0, "no configuration")
-        return self.files[-1]
+    def until_published(self, count: int) -> dict[int, tuple[int, ...]]:
+        self.user.until(lambda: len(self.blocks) >= count, 30.0, "no configuration")
+        return self.blocks[-1]
 
 
 @pytest.fixture
@@ -64,7 +68,7 @@ def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: P
     user, catalogue = tuner.user, Catalogue.load()
     own = tuner.until_published(1)
     built_in = blocks_of_file(CONFIG.read_text(encoding="utf-8"), catalogue)
-    assert blocks_of_file(own, catalogue) == built_in
+    assert own == built_in
     gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
     motor = edited(tmp_path, "motor.toml", axis1__motor={"psi_m": 0.012})
     bad = edited(tmp_path, "bad.toml", control={"speed_bandwidth": 4000.0})
@@ -84,13 +88,13 @@ def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: P
     success, message = tuner.call(motor, send=True)
     assert not success
     assert message.splitlines()[-1].startswith("rotor_search.follow.flux_min can only be changed at standstill")
-    assert tuner.files == [own]
+    assert tuner.blocks == [own]
     assert not any(command.variable == "config.take" for command in user.applied())
 
     success, message = tuner.call(gains, send=True)
     assert success, message
     assert "axis1 and axis2 applied at tick" in message
-    new = blocks_of_file(tuner.until_published(2), catalogue)
+    new = tuner.until_published(2)
     assert new == blocks_of_file(gains.read_text(encoding="utf-8"), catalogue) != built_in
     assert user.position_of(0) < FAR - 1000.0, "still moving"
     (take,) = [command for command in user.applied() if command.variable == "config.take"]

@@ -17,6 +17,8 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from servo_msgs_py.axis_config import AxisConfigError
+from servo_msgs_py.blocks_message import blocks_from_message
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import (
     applied_from_message,
@@ -34,8 +36,7 @@ from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
 from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
-from servo_tuning.errors import ConfigError
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, Int64MultiArray, String
 from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
@@ -45,7 +46,6 @@ from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estim
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
 from servo_twin.diagnosis.thresholds import ThresholdsError
 from servo_twin.level import chosen_level
-from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
@@ -185,7 +185,7 @@ class ServoTwin(Node):
         self.create_subscription(Float64MultiArray, parameters, self._on_parameters, latched_qos())
         windings = f"{board}/{topics.WINDING_TEMPERATURES}"
         self.create_subscription(Float64MultiArray, windings, self._on_windings, latched_qos())
-        self.create_subscription(String, f"{board}/{topics.TUNING}", self._on_tuning, latched_qos())
+        self.create_subscription(Int64MultiArray, f"{board}/{topics.TUNING}", self._on_tuning, latched_qos())
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, self._on_description, latched_qos())
@@ -251,18 +251,17 @@ class ServoTwin(Node):
             return
         self._worker.add_burst(message.layout.dim[0].label, columns, table)
 
-    def _on_tuning(self, message: String) -> None:
+    def _on_tuning(self, message: Int64MultiArray) -> None:
         with self._lock:
             self._configured = True
         self._publish_changes()
-        if not message.data:
-            return  # the bridge could not read the configuration; that of the firmware is assumed
         try:
-            blocks = blocks_of_file(message.data, self._catalogue)
-        except ConfigError as error:
+            blocks = blocks_from_message(message)
+        except AxisConfigError as error:
             self._log.warning(f"invalid configuration of the board: {error}")
             return
-        self._worker.set_blocks(blocks)
+        if blocks:  # otherwise the bridge could not read them; those of the firmware are assumed
+            self._worker.set_blocks(blocks)
 
     def _on_description(self, message: String) -> None:
         try:

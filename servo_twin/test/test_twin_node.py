@@ -33,7 +33,7 @@ from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.node import ServoTwin, main
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, Int64MultiArray, String
 from std_srvs.srv import Trigger
 from twin_rig import CATALOGUE, EPOCH_NS, TwinRig
 
@@ -72,13 +72,13 @@ class Rig:
         self.state = self.user.create_publisher(String, topics.STATE, latched)
         self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self.description = self.user.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
-        self.tuning = self.user.create_publisher(String, topics.TUNING, latched)
+        self.tuning = self.user.create_publisher(Int64MultiArray, topics.TUNING, latched)
         self.messages: dict[str, list[Any]] = {}
         self._listen("/twin/joint_states", JointState, deep)
         self._listen("/twin/snapshot", Float64MultiArray, deep)
         self._listen("/twin/residual", JointState, deep)
         if configured:
-            self.tuning.publish(String())  # unknown to the bridge
+            self.tuning.publish(Int64MultiArray())  # unknown to the bridge
         if joints:
             self.describe(joints)
             self._listen(f"/twin/residual/{joints[0].name}/position", Float64, deep)
@@ -340,7 +340,7 @@ def test_a_disconnected_board_makes_the_twin_unhealthy(rig: Rig) -> None:
     rig.state.publish(String(data="axis1=STOP axis2=STOP"))
     rig.board.run(0.7)
     rig.until(lambda: "configuration unknown" in rig.last("/twin/state"))
-    rig.tuning.publish(String())
+    rig.tuning.publish(Int64MultiArray())
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
 
@@ -388,7 +388,7 @@ def test_nothing_is_compared_before_the_configuration_of_the_board_is_known() ->
         rig.caught_up()
         assert not rig.last("/twin/healthy")
         assert not rig.messages["/twin/residual"]
-        rig.tuning.publish(String())
+        rig.tuning.publish(Int64MultiArray())
         rig.board.run(0.7)
         rig.until(lambda: rig.last("/twin/healthy"))
         assert rig.messages["/twin/residual"]

@@ -1,6 +1,6 @@
 """Runs the tuning code in a separate process (0.5 s of CPU time), so that the node is not delayed.
 
-The program reads a request from standard input and writes the response to standard output, both as JSON.
+The program reads the path of a file from standard input and writes the response to standard output, both as JSON.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import json
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +16,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_tuning.errors import ConfigError
 
-from servo_bridge.tuning.plan import Computed, computed, file_of
+from servo_bridge.tuning.plan import Computed, computed
 
 _TIMEOUT: Final = 60.0  # [s]
 
@@ -44,21 +43,7 @@ class TuningProcess:
         ComputationError
             If there is no response.
         """
-        blocks, warnings = self._request({"file": str(path)})
-        return Computed(blocks, warnings)
-
-    def file_of(self, blocks: Sequence[Mapping[str, int]], timeouts: tuple[float, float]) -> str:
-        """As `servo_bridge.tuning.plan.file_of`.
-
-        Raises
-        ------
-        ConfigError
-            If the tuning code refuses these blocks.
-        ComputationError
-            If there is no response.
-        """
-        text: str = self._request({"blocks": [dict(block) for block in blocks], "timeouts": timeouts})
-        return text
+        return Computed(*self._request(path))
 
     def close(self) -> None:
         """Kill a running process; no other is started."""
@@ -67,7 +52,7 @@ class TuningProcess:
             if self._process is not None:
                 self._process.kill()
 
-    def _request(self, question: Mapping[str, object]) -> Any:
+    def _request(self, path: Path) -> tuple[Any, Any]:
         command = with_parent_death_signal([sys.executable, "-m", __name__])
         pipe = subprocess.PIPE
         with self._lock:
@@ -78,7 +63,7 @@ class TuningProcess:
                 command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8", start_new_session=True
             )
         try:
-            output, errors = process.communicate(json.dumps(question), timeout=_TIMEOUT)
+            output, errors = process.communicate(json.dumps(str(path)), timeout=_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -91,21 +76,14 @@ class TuningProcess:
         answer = json.loads(output)
         if "refused" in answer:
             raise ConfigError(answer["refused"])
-        return answer["result"]
-
-
-def _answer(question: Mapping[str, Any]) -> Any:
-    catalogue = Catalogue.load()
-    if "file" in question:
-        return computed(Path(question["file"]), catalogue)
-    host, command = question["timeouts"]
-    return file_of(question["blocks"], (host, command), catalogue)
+        blocks, warnings = answer["result"]
+        return blocks, warnings
 
 
 def main() -> int:
     """Process one request; returns the exit status."""
     try:
-        answer = {"result": _answer(json.load(sys.stdin))}
+        answer: dict[str, Any] = {"result": computed(Path(json.load(sys.stdin)), Catalogue.load())}
     except ConfigError as error:
         answer = {"refused": str(error)}
     except OSError as error:

@@ -19,10 +19,11 @@ from typing import Final
 from rclpy.node import Node
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_result
-from servo_msgs_py.catalogue import AXES, numbers
+from servo_msgs_py.blocks_message import blocks_message
+from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_tuning.errors import ConfigError
-from std_msgs.msg import String
+from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import SetBool
 
 from servo_bridge.board_context import BoardContext
@@ -30,13 +31,12 @@ from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.block_session import BlockSession
-from servo_bridge.tuning.plan import Plan, read_blocks
+from servo_bridge.tuning.plan import Block, Plan, read_blocks
 from servo_bridge.tuning.process import TuningProcess
 from servo_bridge.wire.link_queue import LinkDownError
 from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
-_TIMEOUTS: Final = ("param.host_timeout", "param.command_timeout")
 _TIMEOUT: Final = 10.0
 """Timeout of one exchange [s]; the link itself reports earlier."""
 
@@ -52,9 +52,6 @@ class _LinkMemory:
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
         return self._call(lambda session: BlockSession(session).write_words(name, words)).result(_TIMEOUT)
-
-    def read(self, name: str) -> float:
-        return numbers(self._call(lambda session: session.read(session.variables[name])).result(_TIMEOUT))[0]
 
 
 class TuningService:
@@ -90,9 +87,9 @@ class TuningService:
         self._take, self._taken = take, taken
         self._process = TuningProcess()
         self._busy = False
-        self._published: str | None = None  # since the connection
+        self._published: list[Block] | None = None  # since the connection
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._publisher = node.create_publisher(String, topics.TUNING, latched_qos())
+        self._publisher = node.create_publisher(Int64MultiArray, topics.TUNING, latched_qos())
         self._service = DeferredService(node, SetBool, topics.TUNE, lambda request: self._on_tune(request.data))
         self._thread = threading.Thread(target=self._run, name="servo tuning", daemon=True)
         self._thread.start()
@@ -124,10 +121,10 @@ class TuningService:
         (self._context.info if success else self._context.warn)(f"tune: {message.splitlines()[-1]}")
         answer.set_result(outcome)
 
-    def _publish(self, text: str) -> None:
-        if text != self._published:
-            self._published = text
-            self._publisher.publish(String(data=text))
+    def _publish(self, blocks: list[Block]) -> None:
+        if blocks != self._published:
+            self._published = blocks
+            self._publisher.publish(blocks_message(blocks))
 
     # ---- separate thread
     def _run(self) -> None:
@@ -199,17 +196,15 @@ class TuningService:
             raise
 
     def _refresh(self) -> None:
-        """Read and publish the configuration of the board; an empty text if it cannot be read."""
+        """Read and publish the configuration of the board; no blocks if it cannot be read."""
+        blocks: list[Block] = []
         try:
             blocks = list(read_blocks(self._memory).values())
-            host, command = (self._memory.read(name) for name in _TIMEOUTS)
-            text = self._process.file_of(blocks, (host, command))
         except LinkDownError:
             return  # reported elsewhere; read again after the reconnection
         except Exception as error:  # includes internal errors: the thread continues
             self._post(partial(self._context.warn, f"the configuration of the board is not known: {_text(error)}"))
-            text = ""
-        self._post(partial(self._publish, text))
+        self._post(partial(self._publish, blocks))
 
 
 def _text(error: Exception) -> str:
