@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_bridge.move_metrics import MoveFigures
@@ -73,14 +74,7 @@ def path_table(rows: Sequence[PathRow]) -> str:
 
 
 def _laid_out(cells: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(line[k]) for line in cells) for k in range(len(cells[0]))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k < 2 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in cells
-    ]
+    lines = aligned(cells, "<<>")
     return "\n".join([*lines[:2], "-" * max(map(len, lines)), *lines[2:]])
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, numbers
+from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import PERIOD_NS
 from servo_msgs_py.value_text import name_text
 
@@ -391,6 +392,5 @@ def _change_text(context: Context, variable: BoardVariable, old: bytes, new: byt
 
 
 def _print_columns(rows: Sequence[Sequence[str]]) -> None:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    for line in aligned(rows):
+        print(line)

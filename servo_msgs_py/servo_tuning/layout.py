@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from servo_msgs_py.table_text import aligned
+
 from servo_tuning.linear import Margins
 
 
 def table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Table with headings; the first column left-aligned, the others right-aligned."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows:
-        cells = (cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))
-        yield "  ".join(["   ", row[0].ljust(widths[0]), *cells]).rstrip()
+    for line in aligned(rows, "<>"):
+        yield f"     {line}"
 
 
 def hertz(value: float | None) -> str:
@@ -33,6 +33,5 @@ def factor(value: float | None) -> str:
 
 def notes(rows: Sequence[tuple[str, str, str]]) -> Iterator[str]:
     """Table of names, values and notes."""
-    widths = [max(len(row[k]) for row in rows) for k in range(2)]
-    for name, value, note in rows:
-        yield f"    {name.ljust(widths[0])}  {value.rjust(widths[1])}  {note}".rstrip()
+    for line in aligned(rows, "<><"):
+        yield f"    {line}"

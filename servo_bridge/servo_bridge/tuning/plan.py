@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 from servo_msgs_py.axis_config import AxisConfigTable, Member
 from servo_msgs_py.axis_config_transfer import BlockMemory, read_block, send_block
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.table_text import aligned
 from servo_tuning.reading import load
 from servo_tuning.report import axis_reports
 from servo_tuning.restore import restore_table, toml_text
@@ -90,8 +91,7 @@ class Plan:
         rows: list[Sequence[str]] = [("AXIS", "MEMBER", "OLD", "NEW", "CHANGES")]
         for axis, (old, new) in self.changes.items():
             rows += [_row(axis, member, old, new) for member in AxisConfigTable.load().changes(old, new)]
-        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        return aligned(rows)
 
 
 def _row(axis: int, member: Member, old: Block, new: Block) -> Sequence[str]:

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.table_text import aligned
+
 from servo_twin.level import Level
 from servo_twin.validation.experiments.outcome import Bound, Outcome, Row
-from servo_twin.validation.experiments.report import columns
 
 NOT_COMPARED: Final = frozenset({"motor-campaign"})
 """Experiments that have been measured at one level only."""
@@ -111,7 +112,7 @@ def _text(value: float | None) -> str:
 def table(name: str, every: Sequence[Pair]) -> str:
     """Figures of one experiment as text; with different bounds the bound of level ideal comes first."""
     lines = [_HEAD, *(_cells(pair) for pair in every if pair.name.startswith(f"{name}: "))]
-    return "\n".join([name, "", *(f"  {row.rstrip()}" for row in columns(lines))]) + "\n"
+    return "\n".join([name, "", *(f"  {row}" for row in aligned(lines))]) + "\n"
 
 
 def overview(entries: Sequence[Mapping[str, Any]]) -> str:

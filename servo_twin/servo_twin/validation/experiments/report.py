@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.table_text import aligned
 
 from servo_twin.validation.experiments.outcome import Outcome, Panel
 
@@ -24,12 +25,6 @@ def _number(value: float | None) -> str:
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
-def columns(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of cells with aligned columns."""
-    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
-
-
 def table(outcome: Outcome) -> str:
     """Rows of an outcome as text."""
     lines = [
@@ -40,10 +35,11 @@ def table(outcome: Outcome) -> str:
         ),
     ]
     text = [f"{outcome.name}, level {outcome.level}" if outcome.level else outcome.name, ""]
-    for cells, line in zip(columns([line[:-1] for line in lines]), lines, strict=True):
-        wrapped = textwrap.wrap(line[-1], _WIDTH) or [""]
-        text.append(f"  {cells}  {wrapped[0]}".rstrip())
-        text.extend(" " * (len(cells) + 4) + more for more in wrapped[1:])
+    cells: list[tuple[str, ...]] = []
+    for *values, reference in lines:
+        first, *others = textwrap.wrap(reference, _WIDTH) or [""]
+        cells += [(*values, first), *(("",) * len(values) + (more,) for more in others)]
+    text.extend(f"  {line}" for line in aligned(cells))
     text.extend(["", *(f"  {note}" for note in outcome.notes)] if outcome.notes else [])
     return "\n".join(text) + "\n"
 

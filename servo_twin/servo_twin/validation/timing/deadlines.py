@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.validation.experiments.outcome import Bound, Row
@@ -191,8 +192,4 @@ def lines(handlers: Sequence[Handler]) -> list[str]:
         )
         for each in handlers
     ]
-    widths = [max(len(line[k]) for line in (head, *body)) for k in range(len(head))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in (head, *body)
-    ]
+    return aligned([head, *body])
