@@ -10,8 +10,8 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, merged, parameters, parse, si
-from servo_msgs_py.catalogue import Catalogue, Variable
-from servo_msgs_py.convert import parameters_from_message
+from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
+from servo_msgs_py.convert import parameters_from_message, snapshot_table
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.robot_description import Motor, joints_of, motors_of
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
@@ -24,8 +24,6 @@ from servo_msgs_py import topics
 
 _BRIDGE: Final = "servo_bridge"  # name of the bridge node
 _LIST: Final = "board_parameters"  # parameter of the bridge
-_LOST: Final = "DISCONNECTED"  # first word of the state without a board
-_RUN: Final = "RUN"  # first part of the states of an axis with its outputs on
 _DIAGNOSTICS: Final = 2.5  # timeout; the period is 1 s [s]
 _HOME_POSITIONS: Final = "home_positions"  # parameter of the bridge
 _HOMING: Final = 600.0  # timeout of a homing [s]
@@ -50,7 +48,8 @@ class Commander(Client):
         self.timeout = timeout  # of responses [s]
         self._catalogue = Catalogue.load()
         self._armed: list[bool] = []  # whether set-points are accepted, as received
-        self._texts: list[str] = []  # states, as received
+        self._texts: list[str] = []  # states for people, as received
+        self._links: list[bool] = []  # whether a board is connected, as received
 
     def _part(self, name: str) -> str:
         """Name of a status of the bridge in /diagnostics."""
@@ -110,13 +109,23 @@ class Commander(Client):
         self._call_checked(SetBool, SetBool.Request(data=False), topics.ENABLE, "disable")
         self.watch()
 
+        rows: list[dict[str, float]] = []
+
+        def take(message: Float64MultiArray) -> None:
+            names, table = snapshot_table(message)
+            rows.append(dict(zip(names, table[-1].tolist(), strict=True)))
+
+        self.create_subscription(Float64MultiArray, self.of(topics.SNAPSHOT), take, telemetry_qos())
+        run = self._catalogue.enums["state_t"]["RUN"]
+
         def off() -> bool:
-            labels = [part.partition("=")[2] for part in self._texts[-1].split()] if self._texts else [_RUN]
-            return not any(label.startswith(_RUN) for label in labels)
+            if not self._links[-1]:
+                return True  # nothing is known of a board that is not connected
+            return bool(rows) and all(rows[-1][f"{axis_name(axis)}.state"] != run for axis in range(AXES))
 
         if not self.holds(off, self.timeout):
             raise CommandError(f"the outputs are not off within {self.timeout:g} s: {self._texts[-1]}")
-        return f"both axes are disabled: {self._texts[-1]}"
+        return "both axes are disabled"
 
     def trigger(self, name: str) -> str:
         """Call ``quick_stop`` or ``clear_faults``."""
@@ -154,9 +163,14 @@ class Commander(Client):
     def watch(self) -> None:
         """Receive the state from now on; returns when it is known."""
         if not self._armed:
+            self.create_subscription(DiagnosticStatus, self.of(topics.LINK), self._on_link, latched_qos())
             self.create_subscription(Bool, self.of(topics.ARMED), lambda m: self._armed.append(m.data), latched_qos())
             self.create_subscription(String, self.of(topics.STATE), lambda m: self._texts.append(m.data), latched_qos())
-        self.wait_for(lambda: self._armed and self._texts, f"no {self.of(topics.ARMED)} was received")
+        received = self._armed, self._texts, self._links
+        self.wait_for(lambda: all(received), f"no {self.of(topics.ARMED)} was received")
+
+    def _on_link(self, message: DiagnosticStatus) -> None:
+        self._links.append(message.level == DiagnosticStatus.OK)
 
     def require_armed(self) -> None:
         """Raise `CommandError` if set-points are not accepted any more; after `watch`."""
@@ -174,7 +188,7 @@ class Commander(Client):
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())
         self.watch()
         text = self._texts[-1]
-        if text.startswith(_LOST):
+        if not self._links[-1]:
             return text, "the board is not connected"
         self.wait_for(lambda: joints, f"no {self.of(topics.JOINT_STATES)} were received")
         last = joints[-1]
@@ -204,10 +218,6 @@ class Commander(Client):
         self.create_subscription(String, self.of(name), lambda m: texts.append(m.data), latched_qos())
         self.wait_for(lambda: texts, f"no {self.of(name)} was received")
         return texts[-1]
-
-    def _state(self) -> str:
-        self.watch()
-        return self._texts[-1]
 
     def motors(self) -> list[Motor]:
         """Motors in the order of the axes; empty if the bridge does not have their data."""
@@ -244,9 +254,9 @@ class Commander(Client):
         CommandError
             After the timeout, or if there is no board.
         """
-        state = self._state()
-        if state.startswith(_LOST):
-            raise CommandError(f"the board is not connected: {state}")
+        self.watch()
+        if not self._links[-1]:
+            raise CommandError(f"the board is not connected: {self._texts[-1]}")
         received: list[RawParameters] = []
 
         def take(message: Float64MultiArray) -> None:
@@ -288,7 +298,8 @@ class Commander(Client):
         (result,) = answer.results
         if not result.successful:
             raise CommandError(f"set was refused: {result.reason.removeprefix(f'parameter {_LIST}: ')}")
-        if self._state().startswith(_LOST):
+        self.watch()
+        if not self._links[-1]:
             return "the board is not connected; the parameters are set after the connection"
         reports: list[DiagnosticArray] = []
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())

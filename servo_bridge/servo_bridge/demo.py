@@ -19,7 +19,7 @@ import numpy as np
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.utilities import remove_ros_args
-from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.runtime.program import complain, program
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
@@ -149,7 +149,7 @@ class Demo:
     def disable(self) -> None:
         """Disable both axes and wait until they are off."""
         self._client.enable(False)
-        off = self._client.wait_for(lambda: "RUN" not in self._client.state, 10.0)
+        off = self._client.wait_for(lambda: not any(self._is_in(axis, "RUN") for axis in range(AXES)), 10.0)
         if not off:
             raise CommandError(f"the outputs are not off 10 s after disable: {self._client.state}")
         self._info(f"disabled: {self._client.state}")
@@ -320,7 +320,13 @@ class Demo:
         return self._client.latest(f"{axis_name(axis)}.position")
 
     def _is_spinning(self, axis: int) -> bool:
-        return f"{self._client.joints[axis]}=RUN/SPIN" in self._client.state.split()
+        spin = self._catalogue.enums["substate_t"]["SPIN"]
+        return self._is_in(axis, "RUN") and self._client.latest(f"{axis_name(axis)}.substate") == spin
+
+    def _is_in(self, axis: int, state: str) -> bool:
+        """Whether a connected board reports this state of an axis."""
+        value = self._client.latest(f"{axis_name(axis)}.state")
+        return self._client.connected and value == self._catalogue.enums["state_t"][state]
 
     def _at_rest(self, axis: int, target: float, since_tick: int) -> bool:
         """True if the axis has been within the tolerance of its target for the hold time."""
@@ -347,8 +353,7 @@ class Demo:
         return done
 
     def _faulted(self) -> bool:
-        state = self._client.state
-        return "FAULT" in state or state.startswith("DISCONNECTED")
+        return not self._client.connected or any(self._is_in(axis, "FAULT") for axis in range(AXES))
 
     def _fault_text(self) -> str:
         texts = [

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table, to_stamp
@@ -40,7 +41,8 @@ class ServoClient(Client):
         super().__init__("servo_demo", session, servo)
         self.joints: list[str] = []
         self.geared: list[str] | None = None  # joints with a gear ratio, direction or offset; None: not known
-        self.state = ""
+        self.state = ""  # for people
+        self.connected = False  # whether the bridge has a board
         self.columns: list[str] = []
         self.applied: list[AppliedCommand] = []
         self._rows: list[NDArray[np.float64]] = []
@@ -52,6 +54,7 @@ class ServoClient(Client):
         self.create_subscription(Float64MultiArray, self.of(topics.SNAPSHOT), self._on_snapshot, deep)
         self.create_subscription(Float64MultiArray, self.of(topics.COMMANDS_APPLIED), self._on_applied, deep)
         self.create_subscription(String, self.of(topics.STATE), self._on_state, latched_qos())
+        self.create_subscription(DiagnosticStatus, self.of(topics.LINK), self._on_link, latched_qos())
         self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
         self.create_subscription(String, f"{twin}/{topics.STATE}", self._on_twin_state, latched_qos())
         self._description = self.of(topics.ROBOT_DESCRIPTION)
@@ -92,6 +95,7 @@ class ServoClient(Client):
             topics.JOINT_STATES: self.joints,
             topics.SNAPSHOT: self._rows,
             topics.STATE: self.state,
+            topics.LINK: self.connected,
             topics.ROBOT_DESCRIPTION: self.geared is not None,
             topics.ENABLE: self._enable.service_is_ready(),
             topics.QUICK_STOP: self._quick_stop.service_is_ready(),
@@ -196,6 +200,9 @@ class ServoClient(Client):
 
     def _on_state(self, message: String) -> None:
         self.state = message.data
+
+    def _on_link(self, message: DiagnosticStatus) -> None:
+        self.connected = message.level == DiagnosticStatus.OK
 
     def _on_twin_state(self, message: String) -> None:
         self.twin_state = message.data

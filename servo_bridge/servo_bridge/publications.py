@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.board_parameters import RawParameters
@@ -61,6 +62,7 @@ class Publications:
         self._rows: list[list[float]] = []
         self._last_known: list[bool | None] = [None] * len(self._joints)
         self._last_description = ""
+        self._last_lost: str | None = None
         self._last_state: str | None = None
         self._last_armed: bool | None = None
         deep, latched = telemetry_qos(), latched_qos()
@@ -76,6 +78,7 @@ class Publications:
         self._known = [
             node.create_publisher(Bool, topics.position_known_topic(joint.name), latched) for joint in joints
         ]
+        self._link = node.create_publisher(DiagnosticStatus, topics.LINK, latched)
         self._state = node.create_publisher(String, topics.STATE, latched)
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
@@ -146,11 +149,22 @@ class Publications:
                 self._last_known[axis] = now
                 publisher.publish(Bool(data=now))
 
+    def lost(self, reason: str) -> None:
+        """Publish that no board is connected, if that or the reason has changed."""
+        self._connection(reason, f"DISCONNECTED {reason}", armed=False)
+
     def state(self, text: str, *, armed: bool) -> None:
-        """Publish state and armed if they have changed."""
+        """Publish the state of a connected board and armed, if they have changed."""
+        self._connection("", text, armed=armed)
+
+    def _connection(self, lost: str, text: str, *, armed: bool) -> None:
         if armed != self._last_armed:
             self._last_armed = armed
             self._armed.publish(Bool(data=armed))
+        if lost != self._last_lost:
+            self._last_lost = lost
+            level = DiagnosticStatus.ERROR if lost else DiagnosticStatus.OK
+            self._link.publish(DiagnosticStatus(level=level, name=topics.LINK, message=lost or "connected"))
         if text != self._last_state:
             self._last_state = text
             self._state.publish(String(data=text))

@@ -512,12 +512,10 @@ class Supervisor:
     def _publish_state(self) -> None:
         snapshot = self._snapshot
         if self._status.state is not LinkState.CONNECTED:
-            text = f"DISCONNECTED {self._status}"
-        elif snapshot is None:
-            return  # the first sample follows immediately
-        else:
+            self._publications.lost(str(self._status))
+        elif snapshot is not None:  # else the first sample follows immediately
             text = " ".join(f"{joint}={axis.label}" for joint, axis in zip(self._joints, snapshot.axes, strict=True))
-        self._publications.state(text, armed=self._arbiter.armed)
+            self._publications.state(text, armed=self._arbiter.armed)
 
     def _publish_variables(self) -> None:
         if self._snapshot is not None:
@@ -581,4 +579,4 @@ class Supervisor:
         self._motion.link_lost(reason)
         self._homing.link_lost(reason)
         self._publications.flush()
-        self._publications.state(f"DISCONNECTED {reason}", armed=False)
+        self._publications.lost(reason)

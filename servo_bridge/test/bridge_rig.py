@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import SetParameters
 from rclpy.experimental.events_executor import EventsExecutor
@@ -210,6 +210,7 @@ class Rig:
         self.listen(topics.PARAMETERS, Float64MultiArray, latched_qos())
         self.listen(topics.ROBOT_DESCRIPTION, String, latched_qos())
         self.listen(topics.STATE, String, latched_qos())
+        self.listen(topics.LINK, DiagnosticStatus, latched_qos())
         self.listen(topics.ARMED, Bool, latched_qos())
         qos = command_qos()
         self.joint_commands = self.user.create_publisher(JointState, topics.JOINT_COMMANDS, qos)

@@ -22,6 +22,7 @@ from servo_bridge.demo_client import ServoClient
 from servo_bridge.demo_report import Residual, Row, passed
 from servo_bridge.move_metrics import MoveFigures
 from servo_bridge.trajectory.path import Path as Motion
+from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
 
 from servo_bridge import demo as demo_module
@@ -31,6 +32,7 @@ COUNT = TURN / 4000
 STEP = 96  # PWM periods per sample, as at 115200 baud
 SAMPLE = STEP / 16000  # s
 SPEED = 250.0  # rad/s
+STATES, SUBSTATES = (Catalogue.load().enums[name] for name in ("state_t", "substate_t"))
 
 
 class FakeClient:
@@ -39,6 +41,7 @@ class FakeClient:
     def __init__(self, position: Sequence[float] = (0.3 * COUNT, -2.2 * COUNT), twin_gap: float = 0.0) -> None:
         self.joints = ["axis1", "axis2"]
         self.geared: list[str] = []
+        self.connected = True
         self.state = "axis1=STOP axis2=STOP"
         self.applied: list[AppliedCommand] = []
         self.log: list[str] = []
@@ -74,6 +77,9 @@ class FakeClient:
             row[f"axis{axis + 1}.position"] = self.position[axis]
             row[f"axis{axis + 1}.position_ref"] = self.target[axis]
             row[f"axis{axis + 1}.faults"] = float(self.faults)
+            state, _, substate = self.state.split()[axis].partition("=")[2].partition("/")
+            row[f"axis{axis + 1}.state"] = float(STATES[state])
+            row[f"axis{axis + 1}.substate"] = float(SUBSTATES[substate] if substate else 0)
         self.rows.append(row)
         if self.twin_present:
             self._residuals.append((self.tick * 62_500, [self.twin_gap, -self.twin_gap]))

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from bridge_rig import SPIN, STOP, FakeLink, Rig
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_bridge.parameters import ParameterError
@@ -263,6 +264,11 @@ def test_link_loss_discards_set_points_and_needs_a_new_enable(rig: Rig) -> None:
     rig.link.written.clear()
     rig.link.disconnect(reason="port vanished")
     rig.until(lambda: rig.state() == "DISCONNECTED port vanished; plug it in" and not rig.armed())
+    rig.until(lambda: rig.messages[topics.LINK][-1].level == DiagnosticStatus.ERROR)
+    assert [(m.level, m.message) for m in rig.messages[topics.LINK]][-2:] == [
+        (DiagnosticStatus.OK, "connected"),
+        (DiagnosticStatus.ERROR, "port vanished; plug it in"),
+    ]
     rig.commands.publish(Float64MultiArray(data=[2.0, 2.0]))
     rig.until(rig.rejections)
     assert "not connected (port vanished)" in rig.rejections()[0]

@@ -186,7 +186,7 @@ class ServoTwin(Node):
         windings = f"{board}/{topics.WINDING_TEMPERATURES}"
         self.create_subscription(Float64MultiArray, windings, self._on_windings, latched_qos())
         self.create_subscription(Int64MultiArray, f"{board}/{topics.TUNING}", self._on_tuning, latched_qos())
-        self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched_qos())
+        self.create_subscription(DiagnosticStatus, f"{board}/{topics.LINK}", self._on_link, latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, self._on_description, latched_qos())
 
@@ -280,9 +280,9 @@ class ServoTwin(Node):
             self._joints = joints
         self._publish_changes()
 
-    def _on_board_state(self, message: String) -> None:
+    def _on_link(self, message: DiagnosticStatus) -> None:
         with self._lock:
-            lost = message.data.startswith("DISCONNECTED")
+            lost = message.level != DiagnosticStatus.OK
             self._board_error = "the board is not connected" if lost else ""
             if lost:
                 self._configured = False

@@ -132,7 +132,7 @@ class ServoViewer(Node):
         self.create_subscription(String, description, partial(self._on_description, description), latched)
         self.create_subscription(Float64MultiArray, f"{board}/{topics.COMMANDS_APPLIED}", self._on_applied, deep)
         self.create_subscription(JointState, f"{twin}/{topics.RESIDUAL}", self._on_residual, deep)
-        self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched)
+        self.create_subscription(DiagnosticStatus, f"{board}/{topics.LINK}", self._on_link, latched)
         self.create_subscription(Bool, f"{twin}/{topics.HEALTHY}", self._on_healthy, latched)
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, 50)
         self.create_subscription(DiagnosticArray, f"{twin}/{topics.DIAGNOSIS}", self._on_diagnosis, latched)
@@ -186,8 +186,9 @@ class ServoViewer(Node):
         fields = {field: list(getattr(message, field)) for field in scene.RESIDUALS}
         self._viewer.residual(from_stamp(message.header.stamp), fields)
 
-    def _on_board_state(self, message: String) -> None:
-        self._viewer.board_state(self._now(), message.data)
+    def _on_link(self, message: DiagnosticStatus) -> None:
+        lost = "" if message.level == DiagnosticStatus.OK else message.message
+        self._viewer.link(self._now(), lost)
 
     def _on_healthy(self, message: Bool) -> None:
         self._viewer.healthy(self._now(), message.data)

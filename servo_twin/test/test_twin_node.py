@@ -69,7 +69,7 @@ class Rig:
         deep, latched = telemetry_qos(1000), latched_qos()
         self.snapshot = self.user.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self.applied = self.user.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
-        self.state = self.user.create_publisher(String, topics.STATE, latched)
+        self.link = self.user.create_publisher(DiagnosticStatus, topics.LINK, latched)
         self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self.description = self.user.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
         self.tuning = self.user.create_publisher(Int64MultiArray, topics.TUNING, latched)
@@ -105,7 +105,7 @@ class Rig:
         self.description.publish(String(data=text))
 
     def _matched(self) -> bool:
-        publishers = (self.snapshot, self.applied, self.state, self.board_parameters, self.description, self.tuning)
+        publishers = (self.snapshot, self.applied, self.link, self.board_parameters, self.description, self.tuning)
         return (
             all(p.get_subscription_count() for p in publishers)
             and all(self.user.count_publishers(name) for name in self.messages)
@@ -334,10 +334,10 @@ def test_tolerances_are_parameters() -> None:
 def test_a_disconnected_board_makes_the_twin_unhealthy(rig: Rig) -> None:
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
-    rig.state.publish(String(data="DISCONNECTED gone"))
+    rig.link.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, message="gone"))
     rig.until(lambda: rig.last("/twin/healthy") is False)
     rig.until(lambda: rig.status("comparison").message == "the board is not connected")
-    rig.state.publish(String(data="axis1=STOP axis2=STOP"))
+    rig.link.publish(DiagnosticStatus(level=DiagnosticStatus.OK))
     rig.board.run(0.7)
     rig.until(lambda: "configuration unknown" in rig.last("/twin/state"))
     rig.tuning.publish(Int64MultiArray())

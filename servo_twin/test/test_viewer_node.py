@@ -122,7 +122,7 @@ class Robot:
                 ("/servo/recording", Float64MultiArray, latched),
                 ("/twin/recording", Float64MultiArray, latched),
                 ("/twin/residual/recording", Float64MultiArray, latched),
-                ("/servo/state", String, latched),
+                ("/servo/link", DiagnosticStatus, latched),
                 ("/servo/robot_description", String, latched),
                 ("/twin/healthy", Bool, latched),
                 ("/diagnostics", DiagnosticArray, 10),
@@ -197,7 +197,7 @@ def test_published_data_are_in_the_file_after_sigterm(start: Start, robot: Robot
     viewer = start(record=file, web=False)
     viewer.wait_for("recording to ")
     robot.wait_for_viewer(viewer)
-    robot.publish("/servo/state", String(data="axis1=STOP axis2=STOP"))
+    robot.publish("/servo/link", DiagnosticStatus(level=DiagnosticStatus.OK))
     robot.publish("/twin/healthy", Bool(data=True))
     robot.rows("/servo/snapshot")
     _wait_points(file, {BOARD_SPEED: 500})

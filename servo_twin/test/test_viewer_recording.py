@@ -77,7 +77,7 @@ def test_every_state_has_a_colour(record: Record, monkeypatch: pytest.MonkeyPatc
         table = move()
         for value in CATALOGUE.enums["home_state_t"].values():
             viewer.board([*COLUMNS, *homes], np.hstack([table, np.full((len(table), 2), float(value))]))
-        viewer.board_state(stamp(0), "axis1=STOP axis2=STOP")
+        viewer.link(stamp(0), "")
         viewer.healthy(stamp(0), True)
         viewer.changes(stamp(0), [], {})
 
@@ -265,14 +265,14 @@ def test_a_stop_ends_a_path(record: Record, file: Path) -> None:
 
 def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
-        viewer.board_state(START_NS + 50_000_000, "DISCONNECTED no board answers on /dev/ttyUSB0")
+        viewer.link(START_NS + 50_000_000, "no board answers on /dev/ttyUSB0")
         viewer.board(COLUMNS, move(start_ns=START_NS + 100_000_000, samples=10))
-        viewer.board_state(START_NS + 100_000_000, "axis1=STOP axis2=STOP")
-        viewer.board_state(START_NS + 101_000_000, "axis1=STOP axis2=RUN/SPIN")
+        viewer.link(START_NS + 100_000_000, "")
+        viewer.link(START_NS + 101_000_000, "")
         viewer.healthy(START_NS + 120_000_000, True)
         viewer.healthy(START_NS + 130_000_000, True)
         viewer.healthy(START_NS + 140_000_000, False)
-        viewer.board_state(START_NS + 400_000_000, "DISCONNECTED the port vanished")
+        viewer.link(START_NS + 400_000_000, "the port vanished")
 
     record(feed)
     link = read_texts(file, scene.state_entity("link"), "StateChange:state")

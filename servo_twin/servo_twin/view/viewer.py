@@ -149,9 +149,9 @@ class Viewer:
         """Add a residual at `stamp_ns` [ns]: per field of `scene.RESIDUALS` one number [SI] per axis."""
         self._post(lambda: self._residual(stamp_ns, fields), follows=True)
 
-    def board_state(self, stamp_ns: int, text: str) -> None:
-        """Add the state of the board, as published by its node."""
-        self._post(lambda: self._board_state(stamp_ns, text))
+    def link(self, stamp_ns: int, lost: str) -> None:
+        """Add whether a board is connected: `lost` is the reason why not, empty if one is."""
+        self._post(lambda: self._link(stamp_ns, lost))
 
     def healthy(self, stamp_ns: int, healthy: bool) -> None:
         """Add the state `healthy` of the twin."""
@@ -359,10 +359,9 @@ class Viewer:
             label = scene.HOME_STATES[self._catalogue.label("home_state_t", int(words[row]))]
             self._state(float(times[row]), scene.home_state(name), label)
 
-    def _board_state(self, stamp_ns: int, text: str) -> None:
+    def _link(self, stamp_ns: int, lost: str) -> None:
         moment = self._time.of_stamp(stamp_ns)
-        lost = text.startswith("DISCONNECTED")
-        self._state(moment, "link", "DISCONNECTED" if lost else "CONNECTED", text if lost else "")
+        self._state(moment, "link", "DISCONNECTED" if lost else "CONNECTED", f"DISCONNECTED {lost}" if lost else "")
         if lost:
             self._faults = [0] * AXES
             for axis, name in scene.axes():
