@@ -374,7 +374,7 @@ def test_identification_is_refused_with_an_enabled_axis(axis: int, reason: str) 
 
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
         board.run(0.05)
-        board.write("cmd.enable", [axis == 0, axis == 1])
+        board.write("cmd.enable", [int(axis == 0), int(axis == 1)])
         board.run(4.0)
         with pytest.raises(MeasurementError, match=reason):
             MotorTest(Silent(board), 0, LIMITS, servo_table()).run()
