@@ -49,7 +49,7 @@ class Commander(Client):
         self._catalogue = Catalogue.load()
         self._armed: list[bool] = []  # whether set-points are accepted, as received
         self._texts: list[str] = []  # states for people, as received
-        self._links: list[bool] = []  # whether a board is connected, as received
+        self._lost: list[str] = []  # why no board is connected, as received; empty: one is
 
     def _part(self, name: str) -> str:
         """Name of a status of the bridge in /diagnostics."""
@@ -108,20 +108,19 @@ class Commander(Client):
         """
         self._call_checked(SetBool, SetBool.Request(data=False), topics.ENABLE, "disable")
         self.watch()
-
-        rows: list[dict[str, float]] = []
+        newest: dict[str, float] = {}
 
         def take(message: Float64MultiArray) -> None:
             names, table = snapshot_table(message)
-            rows.append(dict(zip(names, table[-1].tolist(), strict=True)))
+            newest.update(zip(names, table[-1].tolist(), strict=True))
 
         self.create_subscription(Float64MultiArray, self.of(topics.SNAPSHOT), take, telemetry_qos())
         run = self._catalogue.enums["state_t"]["RUN"]
 
         def off() -> bool:
-            if not self._links[-1]:
-                return True  # nothing is known of a board that is not connected
-            return bool(rows) and all(rows[-1][f"{axis_name(axis)}.state"] != run for axis in range(AXES))
+            if self._lost[-1]:
+                raise CommandError(f"the board was lost before its outputs were off: {self._lost[-1]}")
+            return bool(newest) and all(newest[f"{axis_name(axis)}.state"] != run for axis in range(AXES))
 
         if not self.holds(off, self.timeout):
             raise CommandError(f"the outputs are not off within {self.timeout:g} s: {self._texts[-1]}")
@@ -166,11 +165,11 @@ class Commander(Client):
             self.create_subscription(DiagnosticStatus, self.of(topics.LINK), self._on_link, latched_qos())
             self.create_subscription(Bool, self.of(topics.ARMED), lambda m: self._armed.append(m.data), latched_qos())
             self.create_subscription(String, self.of(topics.STATE), lambda m: self._texts.append(m.data), latched_qos())
-        received = self._armed, self._texts, self._links
+        received = self._armed, self._texts, self._lost
         self.wait_for(lambda: all(received), f"no {self.of(topics.ARMED)} was received")
 
     def _on_link(self, message: DiagnosticStatus) -> None:
-        self._links.append(message.level == DiagnosticStatus.OK)
+        self._lost.append("" if message.level == DiagnosticStatus.OK else message.message)
 
     def require_armed(self) -> None:
         """Raise `CommandError` if set-points are not accepted any more; after `watch`."""
@@ -188,7 +187,7 @@ class Commander(Client):
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())
         self.watch()
         text = self._texts[-1]
-        if not self._links[-1]:
+        if self._lost[-1]:
             return text, "the board is not connected"
         self.wait_for(lambda: joints, f"no {self.of(topics.JOINT_STATES)} were received")
         last = joints[-1]
@@ -255,8 +254,8 @@ class Commander(Client):
             After the timeout, or if there is no board.
         """
         self.watch()
-        if not self._links[-1]:
-            raise CommandError(f"the board is not connected: {self._texts[-1]}")
+        if self._lost[-1]:
+            raise CommandError(f"the board is not connected: {self._lost[-1]}")
         received: list[RawParameters] = []
 
         def take(message: Float64MultiArray) -> None:
@@ -299,7 +298,7 @@ class Commander(Client):
         if not result.successful:
             raise CommandError(f"set was refused: {result.reason.removeprefix(f'parameter {_LIST}: ')}")
         self.watch()
-        if not self._links[-1]:
+        if self._lost[-1]:
             return "the board is not connected; the parameters are set after the connection"
         reports: list[DiagnosticArray] = []
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())

@@ -9,11 +9,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
 from sensor_msgs.msg import JointState
 from servo_bridge.command import main
+from servo_bridge.commander import Commander
 from servo_bridge.wire.link_state import LinkState
 from servo_msgs_py.runtime.qos import command_qos
 
@@ -135,6 +137,23 @@ def test_commands_without_a_board_report_the_reason(rig: Rig, command: Command) 
     assert (status, out) == (0, "the board is not connected; the parameters are set after the connection\n")
     status, out, _ = command("state")
     assert (status, out.startswith("DISCONNECTED")) == (0, True)
+
+
+def test_disable_does_not_report_success_for_a_board_that_is_lost(
+    rig: Rig, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.connect(SPIN, SPIN)
+    accepted = Commander._call_checked
+
+    def lose(commander: Commander, *arguments: Any) -> str:
+        text = accepted(commander, *arguments)
+        rig.link.disconnect()
+        return text
+
+    monkeypatch.setattr(Commander, "_call_checked", lose)
+    status, out, err = command("disable")
+    assert (status, out) == (1, "")
+    assert err == "servo-command: the board was lost before its outputs were off: gone; plug it in\n"
 
 
 @pytest.mark.parametrize(
