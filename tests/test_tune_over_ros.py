@@ -13,7 +13,8 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.blocks_message import blocks_from_message
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import latched_qos
-from servo_twin.lockstep.blocks import blocks_of_file
+from servo_tuning.reading import loads
+from servo_twin.servo_config import blocks_of_configuration
 from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import SetBool
 from test_tune_on_board import CONFIG, edited
@@ -67,7 +68,7 @@ def tuner(tmp_path: Path) -> Iterator[TuningClient]:
 def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: Path) -> None:
     user, catalogue = tuner.user, Catalogue.load()
     own = tuner.until_published(1)
-    built_in = blocks_of_file(CONFIG.read_text(encoding="utf-8"), catalogue)
+    built_in = blocks_of_configuration(loads(CONFIG.read_text(encoding="utf-8"), catalogue))
     assert own == built_in
     gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
     motor = edited(tmp_path, "motor.toml", axis1__motor={"psi_m": 0.012})
@@ -95,7 +96,7 @@ def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: P
     assert success, message
     assert "axis1 and axis2 applied at tick" in message
     new = tuner.until_published(2)
-    assert new == blocks_of_file(gains.read_text(encoding="utf-8"), catalogue) != built_in
+    assert new == blocks_of_configuration(loads(gains.read_text(encoding="utf-8"), catalogue)) != built_in
     assert user.position_of(0) < FAR - 1000.0, "still moving"
     (take,) = [command for command in user.applied() if command.variable == "config.take"]
     assert message.endswith(f"tick {take.tick}")

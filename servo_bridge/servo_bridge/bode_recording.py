@@ -10,7 +10,7 @@ from servo_measurement.bode import Bode
 from servo_measurement.bode_report import COLUMNS, rows, text
 from servo_msgs_py.catalogue import axis_name
 
-from servo_bridge.bursts.rerun_log import entity_of, import_rerun, recording_file, send_curve
+from servo_bridge.bursts.rerun_log import entity_of, recording_file, send_curve
 
 FREQUENCY: Final = "frequency"
 """Timeline with one second per hertz."""
@@ -36,7 +36,7 @@ def write_recording(bode: Bode, path: Path) -> None:
         If rerun is not installed.
     """
     with recording_file("servo-bode", path) as recording:
-        rr = import_rerun(path.name)
+        import rerun as rr
         import rerun.blueprint as rrb
 
         base = ["bode", axis_name(bode.settings.axis), bode.settings.loop.name]

@@ -157,7 +157,7 @@ class Commands:
         self._leases = client.create_publisher(String, of(topics.LEASES), qos)
 
     def missing(self) -> list[str]:
-        """Topics on which nobody listens yet."""
+        """Topics of commands without a subscriber."""
         publishers = (*self._publishers.values(), self._leases)
         return [each.topic_name for each in publishers if not each.get_subscription_count()]
 

@@ -1,8 +1,9 @@
 """Publishing without the lock of the Python interpreter, and not in the thread of the executor.
 
-While a client joins or leaves the ROS graph, a write of the middleware can wait for a lock of its discovery for 0.3 s,
-and for 1.6 s after a client was killed. rclpy keeps the lock of the interpreter during a publication, so that the
-thread of the link could not run either, and the board received nothing. Here the message is converted at once, and
+While a client joins or leaves the ROS graph, a write of the middleware can wait for a lock of its discovery for 0.3 s.
+rclpy keeps the lock of the interpreter during a publication, so that the thread of the link could not run either, and
+the board received nothing. After a client was killed, a callback with publications once took 1.6 s and 1.5 ms of
+processor time, presumably for the same reason. Here the message is converted at once, and
 written by a thread without the lock.
 """
 

@@ -35,9 +35,8 @@ class ServoConfig:
     @classmethod
     def of(cls, configuration: Configuration) -> ServoConfig:
         """Compute the integers. Raises `ConfigError` if the configuration cannot work."""
-        members = AxisConfigTable.load()
         return cls(
-            tuple(tuple(members.words(tuned(axis, configuration).block)) for axis in configuration.axes),
+            tuple(blocks_of_configuration(configuration).values()),
             {**brake_constants(configuration), **time_outs(configuration.board)},
             password_hashes(configuration.board.passwords),
         )
@@ -57,6 +56,12 @@ class ServoConfig:
         for level, digest in self.passwords.items():
             servo.password[level] = list(digest)
         return servo, members
+
+
+def blocks_of_configuration(configuration: Configuration) -> dict[int, tuple[int, ...]]:
+    """Raw members of the blocks by index of the axis. Raises `ConfigError` if the configuration cannot work."""
+    table = AxisConfigTable.load()
+    return {k: tuple(table.words(tuned(axis, configuration).block)) for k, axis in enumerate(configuration.axes)}
 
 
 @functools.cache

@@ -16,11 +16,12 @@ from servo_measurement.test_signal import end_test_signal
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.figure import PictureError
+from servo_tuning.reading import loads
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.level import Level
-from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import blocks_of_configuration
 from servo_twin.simulation import enable
 from servo_twin.validation.experiments.pins import fit
 
@@ -82,7 +83,7 @@ def test_measured_loop_agrees_with_the_prediction(loop: str, axis: int, level: L
 
 def test_prediction_for_other_gains_and_the_speed_observer(access: VirtualBoardAccess) -> None:
     source = CONFIG.read_text(encoding="utf-8").replace("speed_bandwidth   = 75.0", "speed_bandwidth   = 40.0")
-    blocks = blocks_of_file(source, access.catalogue)
+    blocks = blocks_of_configuration(loads(source, access.catalogue))
     block = read_block(access, 0)
     send_configuration(access, {0: AxisConfigTable.load().block(blocks[0])})
     half = measure(access, BodeRequest(0, "speed"), enable=True)

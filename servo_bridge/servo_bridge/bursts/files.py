@@ -11,7 +11,7 @@ import numpy as np
 from servo_msgs_py.figure import new_figure, write_figure
 
 from servo_bridge.bursts.burst import Burst
-from servo_bridge.bursts.rerun_log import entity_of, import_rerun, recording_file, send_curve
+from servo_bridge.bursts.rerun_log import entity_of, recording_file, send_curve
 from servo_bridge.tool_values import UsageError
 
 _TIMELINE: Final = "time"
@@ -51,7 +51,8 @@ def write_picture(burst: Burst, path: Path) -> None:
 def write_recording(burst: Burst, path: Path) -> None:
     """Write a recording for the rerun viewer: one entity per channel, on the timeline ``time``."""
     with recording_file("servo-tool", path) as recording:
-        rr = import_rerun(path.name)
+        import rerun as rr
+
         index = (
             rr.TimeColumn(_TIMELINE, duration=burst.times)
             if burst.timed

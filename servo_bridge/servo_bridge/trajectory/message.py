@@ -1,7 +1,7 @@
 """Messages trajectory_msgs/JointTrajectory whose points are read where the path is planned.
 
 rclpy needs 8 us per point to convert a message, and nothing else runs meanwhile. Here the serialised message is read:
-the header at once, and the points by whoever asks for them, in any thread.
+the header at once, and the points at the first call of `TrajectoryMessage.points`, in any thread.
 """
 
 from __future__ import annotations

@@ -7,12 +7,9 @@ from typing import Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_block, take_blocks
-from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import SLOW_PERIODS
-from servo_tuning.configuration import Configuration
-from servo_tuning.reading import loads
-from servo_tuning.tuned import tuned
 
 from servo_twin.lockstep.replica import Replica
 
@@ -34,23 +31,6 @@ def blocks_of(command: AppliedCommand) -> dict[int, tuple[int, ...]]:
     axes = [axis for axis in range(AXES) if command.mask >> axis & 1]
     parts = {axis: command.raw[k * size : (k + 1) * size] for k, axis in enumerate(axes)}
     return {axis: tuple(table.words(table.block(words))) for axis, words in parts.items()}
-
-
-def blocks_of_file(text: str, catalogue: Catalogue) -> dict[int, tuple[int, ...]]:
-    """Blocks for a configuration file, given as text.
-
-    Raises
-    ------
-    ConfigError
-        If the configuration is invalid.
-    """
-    return blocks_of_configuration(loads(text, catalogue))
-
-
-def blocks_of_configuration(configuration: Configuration) -> dict[int, tuple[int, ...]]:
-    """Blocks for a configuration. Raises `ConfigError` if it is invalid."""
-    table = AxisConfigTable.load()
-    return {k: tuple(table.words(tuned(axis, configuration).block)) for k, axis in enumerate(configuration.axes)}
 
 
 def checksums_of(blocks: Blocks) -> dict[int, int]:

@@ -20,9 +20,10 @@ from servo_tuning.reading import parse
 
 from servo_msgs_py import board_parameters
 from servo_twin.board import Board
-from servo_twin.lockstep.blocks import Blocks, blocks_of_configuration, write_blocks
+from servo_twin.lockstep.blocks import Blocks, write_blocks
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import blocks_of_configuration
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.experiments.rig import set_axis
 from servo_twin.validation.sweep.space import SpaceError, Varied
