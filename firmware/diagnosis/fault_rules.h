@@ -1,13 +1,10 @@
-/* fault_rules.h - priority table of the faults; applied by fault_isolate.c. In program memory (PROGRAM_TABLE),
- * because the data flash cannot be read while it is written. */
+/* fault_rules.h - the types of the tables in fault_rules_gen.c; applied by fault_isolate.c. In program memory
+ * (PROGRAM_TABLE), because the data flash cannot be read while it is written. */
 #ifndef SERVO_DIAGNOSIS_FAULT_RULES_H
 #define SERVO_DIAGNOSIS_FAULT_RULES_H
 
 #include "diagnosis/evidence.h"
 #include "math/program_table.h"
-
-#define FAULT_CAUSES 4
-#define FAULT_REVISIONS 2
 
 typedef struct {
     fault_set_t fault; /* fault reported for a finding */

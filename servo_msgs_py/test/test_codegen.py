@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from servo_msgs_py import codegen
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CATALOGUE = Catalogue.load()
-ISOLATE = FIRMWARE / "diagnosis" / "fault_rules.c"
+RULES = FaultRules.load()
 
 
 @pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware next to this package")
@@ -27,13 +27,11 @@ def test_committed_files_are_up_to_date() -> None:
 def test_generator_writes_compares_and_detects_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("firmware/config", "firmware/app", "firmware/doc", "firmware/diagnosis", "servo_msgs_py"):
         (tmp_path / folder).mkdir(parents=True)
-    source = ISOLATE.read_text("utf-8")
-    raises = "".join(f"raise(FINDING_{rule.finding});\n" for rule in FaultRules.parse(source).rules)
-    for name, text in (("fault_rules.c", source), ("monitor.c", raises)):
-        (tmp_path / "firmware" / "diagnosis" / name).write_text(text, encoding="utf-8")
+    raises = "".join(f"raise(FINDING_{finding});\n" for finding in RULES.rules)
+    (tmp_path / "firmware" / "diagnosis" / "monitor.c").write_text(raises, encoding="utf-8")
     arguments = ["--firmware", str(tmp_path / "firmware")]
     assert codegen.main([*arguments, "--check"]) == 1
-    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["fault_rules.c", "monitor.c"]
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["monitor.c"]
     assert codegen.main(arguments) == 0
     assert codegen.main([*arguments, "--check"]) == 0
     header = tmp_path / "firmware" / "config" / "contract_gen.h"
@@ -43,43 +41,39 @@ def test_generator_writes_compares_and_detects_a_change(tmp_path: Path, capsys: 
     assert re.findall(r"(\S+) is out of date", capsys.readouterr().err) == [str(header)]
 
 
-@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware next to this package")
-def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
-    source = ISOLATE.read_text(encoding="utf-8")
-    rules = FaultRules.parse(source)
-    sources = raised_in(FIRMWARE)
-    text = fault_list(CATALOGUE, rules, sources)
-    assert len(rules.rules) == source.count("    [FINDING_")
-    assert {rule.fault for rule in rules.rules} == {fault.name for fault in CATALOGUE.flags["faults"]}
-    other = source.replace("{FAULT_STALLED, 0, 0}", "{FAULT_STALLED, CURRENT_SENSE, 0}").replace(
-        "CURRENT_SENSE, 2048", "CURRENT_SENSE, 1600"
-    )
-    changed = fault_list(CATALOGUE, FaultRules.parse(other), sources)
-    lines = [line for line in changed.splitlines() if line not in text.splitlines()]
+def _lines_of_faults(rules: FaultRules) -> list[str]:
+    return fault_list(CATALOGUE, rules, {finding: [] for finding in rules.rules}).splitlines()
+
+
+def test_list_of_faults_follows_the_rules() -> None:
+    blocked = replace(RULES.rules["SHAFT_BLOCKED"], instead=("CURRENT_SENSE",))
+    later = replace(RULES.revisions[0], within=0.1)
+    other = replace(RULES, rules={**RULES.rules, "SHAFT_BLOCKED": blocked}, revisions=(later, *RULES.revisions[1:]))
+    lines = [line for line in _lines_of_faults(other) if line not in _lines_of_faults(RULES)]
     assert [("`CURRENT_SENSE`" in line, "`STALLED`" in line, "| 100 ms |" in line) for line in lines] == [
         (True, True, False),
         (True, False, True),
     ]
 
 
-@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware next to this package")
 @pytest.mark.parametrize(
-    ("row", "instead", "message"),
+    ("entry", "message"),
     [
-        (
-            "[FINDING_HEAT_SINK_HOT] = {FAULT_OVER_TEMPERATURE, 0, 0},",
-            "[FINDING_HEAT_SINK_HOT] = {FAULT_OVER_TEMPERATURE},",
-            "cannot be read",
-        ),
-        ("{FAULT_OVER_TEMPERATURE, 0, 0}", "{FAULT_STALLED, 0, 0}", "OVER_TEMPERATURE"),
-        (" fault_causes[", " fault_reasons[", "no table fault_causes"),
+        ({"fault": "OVER_TEMPERATURE"}, "HEAT_SINK_HOT.*'when'"),
+        ({"fault": "OVER_TEMPERATURE", "when": "", "insted": ["PHASE"]}, "HEAT_SINK_HOT.*'insted'"),
+        ({"fault": "OVER_TEMPERATURE", "when": "", "instead": ["PHASES"]}, "HEAT_SINK_HOT: no cause has PHASES"),
+        ({"fault": "STALLED", "when": ""}, "OVER_TEMPERATURE"),
     ],
 )
-def test_a_table_of_faults_that_cannot_be_read_is_refused(row: str, instead: str, message: str) -> None:
-    source = ISOLATE.read_text(encoding="utf-8")
-    assert row in source
+def test_a_wrong_rule_of_a_fault_is_refused(entry: dict[str, Any], message: str) -> None:
+    table = {"findings": {"HEAT_SINK_HOT": entry}, "causes": [asdict(cause) for cause in RULES.causes], "revisions": []}
+
+    def listed() -> list[str]:
+        rules = FaultRules.parse(table)
+        return _lines_of_faults(replace(RULES, rules={**RULES.rules, **rules.rules}))
+
     with pytest.raises(CatalogueError, match=message):
-        fault_list(CATALOGUE, FaultRules.parse(source.replace(row, instead)), raised_in(FIRMWARE))
+        listed()
 
 
 def test_list_for_people_names_every_variable_with_its_unit() -> None:
@@ -189,4 +183,4 @@ def test_list_of_faults_names_the_sources_that_raise_a_finding_and_refuses_a_fin
     assert sources["LOOPS_LATE"] == ["app/servo.c"]
     del sources["LOOPS_LATE"]
     with pytest.raises(CatalogueError, match="LOOPS_LATE"):
-        fault_list(CATALOGUE, FaultRules.parse(ISOLATE.read_text(encoding="utf-8")), sources)
+        fault_list(CATALOGUE, RULES, sources)
