@@ -74,7 +74,7 @@ def test_stability_limit_of_the_speed_loop_agrees_with_the_prediction(axes: list
             choose_mode(board, axis, "SPEED")
             command_speed(board, axis, BASE)
             part = record(board, [axis], 1.0)[axis].part(0.6)
-        swings.append(float(np.ptp(part.omega)))
+        swings.append(float(np.ptp(part["omega"])))
     assert swings[0] < 0.1 * BASE
     assert swings[1] > 0.5 * BASE
 
@@ -98,10 +98,10 @@ def test_deflection_by_a_load_step_in_motion_agrees_with_the_prediction(axes: li
         feedback_alone(board, axis)
         record(board, [axis], 2000 * TICK, move)
         whole = record(board, [axis], lead + measured, load)[axis]
-    assert not whole.limits.any(), "a small signal"
+    assert not whole["limits"].any(), "a small signal"
     before, after = whole.part(0.0, lead), whole.part(lead)
-    line = np.polyfit(before.time, before.theta, 1)
-    deflection = np.polyval(line, after.time) - after.theta
+    line = np.polyfit(before.time, before["theta"], 1)
+    deflection = np.polyval(line, after.time) - after["theta"]
     u = np.zeros((after.time.size + 1, len(In)))
     u[:, In.LOAD] = torque
     predicted = -it.shaft(observed=False).position.simulate(u)[1:, Out.ANGLE]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import anti_windup
-from servo_twin.validation.experiments.rig import TICK, AxisTrace
+from servo_twin.validation.experiments.rig import TICK
 
 
 def test_agrees_with_the_reference_design() -> None:
@@ -18,7 +19,7 @@ def test_agrees_with_the_reference_design() -> None:
 def test_missing_anti_windup_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> None:
     genuine = anti_windup.respond
 
-    def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> AxisTrace:
+    def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Trace:
         return genuine(plant, seed, frequency, swapped)
 
     monkeypatch.setattr(anti_windup, "respond", respond)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import bus_ripple
-from servo_twin.validation.experiments.rig import TICK, AxisTrace
+from servo_twin.validation.experiments.rig import TICK
 
 
 def test_every_figure_is_within_its_bound() -> None:
@@ -17,7 +18,7 @@ def test_every_figure_is_within_its_bound() -> None:
 def test_missing_compensation_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = bus_ripple.turn
 
-    def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> AxisTrace:
+    def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Trace:
         return genuine(plant, seed, axis, False)
 
     monkeypatch.setattr(bus_ripple, "turn", turn)

@@ -52,7 +52,7 @@ def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, mi
 def test_figures_of_a_shaft_at_rest() -> None:
     with spinning(PlantConfig.load(), 4) as board:
         recording = record(board, [0], 0.1)[0]
-    here = round(recording.position[0])
+    here = round(recording["position"][0])
     plant = PlantConfig.load()
     there = feed_forward.measure(recording, here, plant, 0)
     assert (there.overshoot, there.settling) == (0.0, 0.0)

@@ -17,5 +17,5 @@ def test_axis_without_the_feature_violates_the_bounds(monkeypatch: pytest.Monkey
     monkeypatch.setattr(rig, "features", lambda board, axis, **switches: None)
     it = homing.unhomed(PlantConfig.load(), 6)
     for stationary in it.stationary.values():
-        assert np.ptp(stationary.shaft) > 1000.0
-        assert not stationary.limits[-1] & it.mask
+        assert np.ptp(rig.shaft_counts(stationary)) > 1000.0
+        assert not stationary["limits"][-1] & it.mask

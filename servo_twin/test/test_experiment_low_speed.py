@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
+from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import low_speed
-from servo_twin.validation.experiments.rig import AxisTrace
 
 
 def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
     """The experiment at 5 rpm; `swapped`: the names of the two methods are exchanged."""
     genuine = low_speed.hold_speed
 
-    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> AxisTrace:
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Trace:
         return genuine(plant, seed, axis, speed, enhanced != swapped)
 
     monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
@@ -37,9 +35,9 @@ def test_plain_is_not_better_than_enhanced(monkeypatch: pytest.MonkeyPatch) -> N
 def test_wrong_mean_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = low_speed.hold_speed
 
-    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> AxisTrace:
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Trace:
         right = genuine(plant, seed, axis, speed, enhanced)
-        return dataclasses.replace(right, omega=1.02 * right.omega)
+        return right.changed(omega=1.02 * right["omega"])
 
     monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
     monkeypatch.setattr(low_speed, "SPEEDS", (5.0,))

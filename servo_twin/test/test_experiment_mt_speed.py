@@ -7,9 +7,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import mt_speed
-from servo_twin.validation.experiments.rig import COUNT, RPM, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, RPM
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def test_worked_example_gives_exact_fractions() -> None:
 def test_shaft_follows_the_given_speed(plant: PlantConfig) -> None:
     motion = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
     # the switching plant holds the viscous friction constant within its steps of about 30 us
-    assert motion.omega == pytest.approx(10.0, rel=1e-4)
+    assert motion["omega"] == pytest.approx(10.0, rel=1e-4)
 
 
 def test_edges_of_a_steady_shaft(plant: PlantConfig) -> None:
@@ -40,7 +41,7 @@ def test_edges_of_a_steady_shaft(plant: PlantConfig) -> None:
     motion = mt_speed.drive(plant, 1, lambda k: speed, 0.1, enhanced=True)
     edges = mt_speed.edges_of(motion, mt_speed.start_angle(plant, 1))
     assert np.diff(edges.time[5:]) == pytest.approx(COUNT / speed, rel=1e-4)
-    assert abs(edges.number.size - motion.position[-1]) <= 1
+    assert abs(edges.number.size - motion["position"][-1]) <= 1
     assert (edges.of_b().number % 2 == 0).all()
 
 
@@ -48,9 +49,7 @@ def test_plain_method_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, plant
     """With the enhanced M/T method disabled the speed stagnates."""
     genuine = mt_speed.drive
 
-    def drive(
-        plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool
-    ) -> AxisTrace:
+    def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Trace:
         return genuine(plant, seed, speed_at, seconds, enhanced=False)
 
     monkeypatch.setattr(mt_speed, "drive", drive)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import path_filter
-from servo_twin.validation.experiments.rig import TICK, AxisTrace
+from servo_twin.validation.experiments.rig import TICK
 
 ABLE = 1e9
 
 
 @pytest.fixture(scope="module")
-def recorded() -> tuple[AxisTrace, float, int]:
+def recorded() -> tuple[Trace, float, int]:
     return path_filter.record(PlantConfig.load(), 6, 314.0)
 
 
@@ -24,13 +23,13 @@ def test_agrees_with_the_reference_design() -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def wrong(recorded: tuple[AxisTrace, float, int], path: NDArray[np.float64]) -> set[str]:
+def wrong(recorded: tuple[Trace, float, int], path: NDArray[np.float64]) -> set[str]:
     recording, speed, distance = recorded
-    rows = path_filter.figures(dataclasses.replace(recording, position_ref=path), speed, distance, ABLE)
+    rows = path_filter.figures(recording.changed(position_ref=path), speed, distance, ABLE)
     return {row.name for row in rows if not row.agrees}
 
 
-def test_ramp_is_not_an_s_curve(recorded: tuple[AxisTrace, float, int]) -> None:
+def test_ramp_is_not_an_s_curve(recorded: tuple[Trace, float, int]) -> None:
     recording, speed, distance = recorded
     ramp: NDArray[np.float64] = np.minimum(speed * recording.time, distance)
     assert "largest jump of the S curve's speed per slow loop" in wrong(recorded, np.round(ramp))

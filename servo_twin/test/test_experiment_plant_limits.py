@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.experiments import plant_limits
@@ -17,7 +18,15 @@ from servo_twin.validation.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace, choose_mode, command_speed, record, spinning
+from servo_twin.validation.experiments.rig import (
+    COUNT,
+    TICK,
+    choose_mode,
+    command_speed,
+    record,
+    shaft_counts,
+    spinning,
+)
 
 SPEED = 314.0
 
@@ -124,7 +133,7 @@ def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: 
         choose_mode(board, 1, "SPEED")
         command_speed(board, 1, 200.0)
         if may_fail:
-            words = record(board, [1], 1.0, may_fail=True)[1].faults
+            words = record(board, [1], 1.0, may_fail=True)[1]["faults"]
             assert words[-1] & board.catalogue.flag("faults", "UNDER_VOLTAGE").mask
         else:
             with pytest.raises(SimulationError, match=r"axis\d ended in a fault. UNDER_VOLTAGE"):
@@ -136,10 +145,10 @@ def test_the_true_shaft_angle_is_recorded_in_counts(plant: PlantConfig) -> None:
         choose_mode(board, 0, "SPEED")
         command_speed(board, 0, 10.0)
         recording = record(board, [0], 0.2)[0]
-    assert recording.position[-1] > 900
+    assert recording["position"][-1] > 900
     # The position is latched some microseconds before the end of the tick.
-    late = recording.omega * TICK / COUNT
-    assert np.all(np.abs(recording.shaft - recording.position - 0.5 * late) <= 0.5 * late + 0.51)
+    late = recording["omega"] * TICK / COUNT
+    assert np.all(np.abs(shaft_counts(recording) - recording["position"] - 0.5 * late) <= 0.5 * late + 0.51)
 
 
 @pytest.mark.parametrize("beyond", [-0.1, 0.1])
@@ -149,11 +158,5 @@ def test_true_position_tolerates_uneven_edges(beyond: float) -> None:
     theta = COUNT * np.where(ticks == 0, 7.0 - beyond, 7.0 + 3.0 * np.sin(ticks / 30.0) + 0.5)
     position = np.floor(theta / COUNT) + 100.0
     position[0] += np.sign(beyond)
-    silent, words = np.zeros(ticks.size), np.zeros(ticks.size, dtype=np.int64)
-    recording = AxisTrace(
-        time=silent, position=position, position_ref=silent, speed_ref=silent, speed=silent, i_q_ref=silent, i_q=silent,
-        i_d=silent, u_d=silent, u_q=silent,
-        limits=words, faults=words, state=words, substate=words,
-        theta=theta, omega=silent, i_q_true=silent, torque=silent, u_dc=silent,
-    )  # fmt: skip
-    assert np.all(np.abs(recording.shaft - position) <= 0.5 + abs(beyond) + 1e-9)
+    recording = Trace(TICK, {"position": position, "theta": theta, "omega": np.zeros(ticks.size)})
+    assert np.all(np.abs(shaft_counts(recording) - position) <= 0.5 + abs(beyond) + 1e-9)

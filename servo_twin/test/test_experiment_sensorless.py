@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE
 from servo_twin.validation.experiments import minimum_speed, observer, sensorless_load_step, sensorless_stall, start_up
 from servo_twin.validation.experiments.outcome import Outcome
 from servo_twin.validation.experiments.rig import TICK
-from servo_twin.validation.experiments.sensorless import Trace, degrees
+from servo_twin.validation.experiments.sensorless import degrees
 from servo_twin.validation.experiments.sensorless_stall import variance_detection_time
 from servo_twin.validation.experiments.start_up import CRITERION_MAX, draws, examine, many
 
@@ -35,9 +36,8 @@ def wrong(outcome: Outcome) -> list[str]:
 
 def trace(speed: NDArray[np.float64], **arrays: Any) -> Trace:
     """A trace with the given observed speed; all other signals are zero."""
-    still = {name: np.zeros(speed.size) for name in Trace.__dataclass_fields__}
-    time = TICK * np.arange(1, speed.size + 1)
-    return Trace(**(still | {"time": time, "speed": speed} | arrays))
+    still = {name: np.zeros(speed.size) for name in ("theta_e", "omega", "angle", "substate", "faults")}
+    return Trace(TICK, still | {"speed": speed} | arrays, first=1)
 
 
 def test_angles_are_compared_within_half_a_turn() -> None:

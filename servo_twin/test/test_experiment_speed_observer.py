@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from servo_msgs_py.trace import Trace
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import speed_observer
-from servo_twin.validation.experiments.rig import AxisTrace
 from servo_twin.validation.experiments.speed_observer import Pair
 
 
@@ -16,7 +16,7 @@ def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
     """The experiment at 5 rpm; `swapped`: the names of the runs with and without the observer are exchanged."""
     genuine = speed_observer.both
 
-    def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], AxisTrace]) -> Pair:
+    def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Trace]) -> Pair:
         without, observed = genuine(plant, seed, axis, play)
         return (observed, without) if swapped else (without, observed)
 

@@ -44,11 +44,11 @@ def test_a_position_move_at_the_rated_speed_arrives() -> None:
         target = position_of(board, AXIS) + 30 * 4000
         command_position(board, AXIS, target)
         move = record(board, [AXIS], 1.2)[AXIS]
-    assert float(move.omega.max()) > 0.98 * RATED
-    assert float(move.i_d.min()) < -0.3
-    assert float(move.position.max()) <= target + 2
-    assert abs(float(move.position[-1]) - target) <= 2
-    assert float(np.abs(move.i_d[-100:]).max()) < 0.1
+    assert float(move["omega"].max()) > 0.98 * RATED
+    assert float(move["i_d"].min()) < -0.3
+    assert float(move["position"].max()) <= target + 2
+    assert abs(float(move["position"][-1]) - target) <= 2
+    assert float(np.abs(move["i_d"][-100:]).max()) < 0.1
 
 
 def test_negative_rated_speed_is_reached(rated: Board) -> None:
@@ -62,8 +62,8 @@ def test_torque_mode_reaches_the_speed_limit(rated: Board) -> None:
     choose_mode(rated, AXIS, "TORQUE")
     set_axis(rated, "cmd.i_q", AXIS, 0.5)
     run = record(rated, [AXIS], 0.3)[AXIS]
-    assert float(run.omega[-100:].mean()) == pytest.approx(RATED, rel=0.01)
-    assert float(run.omega.std()) < 60.0 * RPM
+    assert float(run["omega"][-100:].mean()) == pytest.approx(RATED, rel=0.01)
+    assert float(run["omega"].std()) < 60.0 * RPM
 
 
 def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
@@ -73,7 +73,7 @@ def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
         rated.set_load(AXIS, load)
         rated.set_supply(supply)
         run = record(rated, [AXIS], 0.3)[AXIS]  # fails on a fault
-        assert float(run.i_d[-100:].mean()) < -0.3
+        assert float(run["i_d"][-100:].mean()) < -0.3
 
 
 def test_field_weakening_works_without_an_encoder() -> None:
@@ -93,9 +93,9 @@ def test_field_weakening_works_without_an_encoder() -> None:
             board.set_supply(supply)
             run = record(board, [AXIS], 0.4)[AXIS].part(0.2)
             target = field_weakening.theoretical_speed(board.plant.axes[AXIS], supply, load, weak=True)
-            assert float(run.omega.mean()) == pytest.approx(target, rel=field_weakening.SPEED_TOLERANCE)
-            assert float(run.omega.std()) < field_weakening.SPEED_DEVIATION_MAX
-            assert float(run.i_d.mean()) < -0.4
+            assert float(run["omega"].mean()) == pytest.approx(target, rel=field_weakening.SPEED_TOLERANCE)
+            assert float(run["omega"].std()) < field_weakening.SPEED_DEVIATION_MAX
+            assert float(run["i_d"].mean()) < -0.4
             used, true = board.read("axis1.theta_e"), board.plant.axes[AXIS].pole_pairs * board.truth(AXIS).theta_m
             assert isinstance(used, float)
             assert abs(math.remainder(used - true, 2.0 * math.pi)) < math.radians(25.0)
@@ -108,9 +108,9 @@ def test_outputs_off_at_the_rated_speed_keep_the_bus_voltage(rated: Board, suppl
     rated.write_raw("param.on_disable", [0, 0])  # COAST
     rated.write("cmd.enable", [0, 0])
     run = record(rated, [AXIS], 0.1)[AXIS]
-    assert float(run.u_dc.max()) < max(24.0, 22.4) + 0.2
-    assert not run.faults.any()
-    assert float(np.abs(run.i_d[2:]).max()) < 0.1
+    assert float(run["u_dc"].max()) < max(24.0, 22.4) + 0.2
+    assert not run["faults"].any()
+    assert float(np.abs(run["i_d"][2:]).max()) < 0.1
 
 
 def test_experiment_agrees_and_detects_a_disabled_feature(monkeypatch: pytest.MonkeyPatch) -> None:

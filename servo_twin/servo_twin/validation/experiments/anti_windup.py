@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.trace import Trace
 
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import inertia_ratio
-from servo_twin.validation.experiments.rig import RPM, TICK, AxisTrace, command_speed, largest, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, TICK, command_speed, largest, record, set_up, spinning
 
 NAME: Final = "anti-windup"
 HELP: Final = """\
@@ -55,7 +56,7 @@ def top_frequency(axis: AxisPlant) -> float:
     return CURRENT_MAX * axis.torque_constant / (ACCELERATION_RATIO * axis.inertia * AMPLITUDE * 2.0 * np.pi)
 
 
-def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> AxisTrace:
+def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Trace:
     """Run a sine of this frequency [Hz]; returns the last periods."""
     limit, warm_up = current_limit(plant.axes[AXIS], frequency), WARM_UP / frequency
     with spinning(plant, seed) as board:
@@ -89,10 +90,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     frequency = whole_ticks(min(FREQUENCY / inertia_ratio(plant, seed, AXIS), top_frequency(plant.axes[AXIS])))
     limit = current_limit(plant.axes[AXIS], frequency)
     both = with_it, without = [respond(plant, seed, frequency, anti_windup) for anti_windup in (True, False)]
-    waves = [half_waves(r.speed, frequency) for r in both]
+    waves = [half_waves(r["speed"], frequency) for r in both]
     peaks, lags = ([float(np.mean(wave[k])) for wave in waves] for k in range(2))
     lsb = Catalogue.load()["param.i_q_limit"].lsb
-    saturated = [float(np.mean(np.abs(r.i_q_ref) >= limit - 2.0 * lsb)) for r in both]
+    saturated = [float(np.mean(np.abs(r["i_q_ref"]) >= limit - 2.0 * lsb)) for r in both]
     commanded, higher = AMPLITUDE / RPM, peaks[0] / RPM
     judge = Judge()
     yield judge(
@@ -118,14 +119,14 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield f"axis {AXIS + 1}, {frequency:.3g} Hz, i_q limit {limit:.2f} A, speeds are the feedback's, as in F21 and F22"
 
 
-def _panel(title: str, recording: AxisTrace, frequency: float) -> Panel:
+def _panel(title: str, recording: Trace, frequency: float) -> Panel:
     first = WARM_UP / frequency
     part = recording.part(first, first + 3.0 / frequency)
     time = 1e3 * (part.time - first)
     commanded = AMPLITUDE * np.sin(2.0 * np.pi * frequency * (part.time - TICK))
     curves = (
         Curve("set-point", time, commanded / RPM),
-        Curve("speed", time, part.speed / RPM),
-        Curve("i_q* [A] x 500", time, part.i_q_ref * 500.0),
+        Curve("speed", time, part["speed"] / RPM),
+        Curve("i_q* [A] x 500", time, part["i_q_ref"] * 500.0),
     )
     return Panel(title, "time [ms]", "speed [rpm]", curves)

@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import RPM, TICK, AxisTrace, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, TICK, record, set_up, spinning
 
 NAME: Final = "bus-ripple"
 HELP: Final = """\
@@ -48,7 +49,7 @@ def amplitude(signal: NDArray[np.float64], frequency: float) -> float:
     return float(2.0 * abs(np.mean((signal - signal.mean()) * wave)))
 
 
-def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> AxisTrace:
+def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Trace:
     """Rotate an axis under load with a ripple of the supply."""
     plant = plant.with_bus(capacitance=capacitance(plant, axis))
     volts = plant.bus.u_source
@@ -74,9 +75,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         name = axis_name(axis)
         both = [turn(plant, seed, axis, compensated) for compensated in (True, False)]
         with_compensation, without = both
-        bus = 100.0 * amplitude(with_compensation.u_dc, FREQUENCY) / plant.bus.u_source
-        currents = [amplitude(r.i_q_true, FREQUENCY) for r in both]
-        speeds = [amplitude(r.omega, FREQUENCY) / RPM for r in both]
+        bus = 100.0 * amplitude(with_compensation["u_dc"], FREQUENCY) / plant.bus.u_source
+        currents = [amplitude(r["i_q_true"], FREQUENCY) for r in both]
+        speeds = [amplitude(r["omega"], FREQUENCY) / RPM for r in both]
         ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
         judge = Judge(f"{name}, ", "F7: compensated")
         yield judge("ripple of the bus", bus, "%", 80.0 * AMPLITUDE, 110.0 * AMPLITUDE, reference="10 %")
@@ -87,15 +88,15 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             f"speed ripple {speeds[0]:.3g} and {speeds[1]:.3g} rpm"
         )
         shown = {"without": _shown(without), "with compensation": _shown(with_compensation)}
-        curves = [Curve(label, _milliseconds(r), r.i_q_true) for label, r in shown.items()]
+        curves = [Curve(label, _milliseconds(r), r["i_q_true"]) for label, r in shown.items()]
         yield Panel(f"{name}: true i_q", "time [ms]", "i_q [A]", curves)
     last = _shown(with_compensation)
-    yield Panel("bus voltage", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
+    yield Panel("bus voltage", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last["u_dc"])])
 
 
-def _shown(recording: AxisTrace) -> AxisTrace:
+def _shown(recording: Trace) -> Trace:
     return recording.part(0.5 * SETTLE, 0.5 * SETTLE + SHOWN)
 
 
-def _milliseconds(part: AxisTrace) -> NDArray[np.float64]:
+def _milliseconds(part: Trace) -> NDArray[np.float64]:
     return np.asarray(1e3 * (part.time - part.time[0]))

@@ -11,20 +11,21 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.plant_limits import nominal_tuning
-from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, TICK
 
 
 def displacement(
-    recording: AxisTrace, plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
+    recording: Trace, plant: PlantConfig, axis: int, *, position: bool, heavier: float = 1.0
 ) -> NDArray[np.float64]:
     """Shaft displacement caused by the difference between true current and set-point [counts].
 
     Parameters
     ----------
-    recording : AxisTrace
+    recording : Trace
         Recording of the axis, with the true current.
     plant : PlantConfig
         Plant data.
@@ -35,7 +36,7 @@ def displacement(
     heavier : float
         Inertia relative to the tuning; the bandwidth is lower by this factor.
     """
-    torque_error = plant.axes[axis].torque_constant * (recording.i_q_true - recording.i_q_ref)
+    torque_error = plant.axes[axis].torque_constant * (recording["i_q_true"] - recording["i_q_ref"])
     return response(torque_error, plant, axis, position=position, heavier=heavier)
 
 
@@ -67,16 +68,14 @@ def response(
     return np.asarray(displacements) / COUNT
 
 
-def displacement_counts(
-    recording: AxisTrace, plant: PlantConfig, axis: int, after: float, heavier: float = 1.0
-) -> float:
+def displacement_counts(recording: Trace, plant: PlantConfig, axis: int, after: float, heavier: float = 1.0) -> float:
     """Largest displacement under position control after `after` [s], rounded to counts."""
     position_error = displacement(recording, plant, axis, position=True, heavier=heavier)
     return float(round(np.abs(position_error[recording.time > after]).max(initial=0.0)))
 
 
-def displacement_at(recording: AxisTrace, plant: PlantConfig, axis: int, target: float, within: float) -> float:
+def displacement_at(recording: Trace, plant: PlantConfig, axis: int, target: float, within: float) -> float:
     """Largest displacement after the set-point is within `within` counts of a target [counts]."""
-    near = np.abs(recording.position_ref - target) <= within
+    near = np.abs(recording["position_ref"] - target) <= within
     after = float(recording.time[int(np.argmax(near))])
     return displacement_counts(recording, plant, axis, after) if near.any() else 0.0

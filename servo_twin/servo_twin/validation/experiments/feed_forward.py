@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.plant import PlantConfig
@@ -16,7 +17,7 @@ from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.dead_time_torque import displacement_at
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import move_speeds, nominal_shafts
-from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, TICK, shaft_counts
 
 NAME: Final = "feed-forward"
 HELP: Final = """\
@@ -57,7 +58,7 @@ REFERENCE_OVERSHOOT: Final = "2.7.3: position must not overshoot"
 class Move:
     """One move of one axis."""
 
-    recording: AxisTrace
+    recording: Trace
     error: float  # largest distance of the true shaft from the shaped set-point [counts]
     overshoot: float  # largest distance beyond the target [counts]
     settling: float | None
@@ -73,10 +74,10 @@ class Move:
         return ARRIVED + self.displacement
 
 
-def measure(recording: AxisTrace, target: int, plant: PlantConfig, axis: int) -> Move:
+def measure(recording: Trace, target: int, plant: PlantConfig, axis: int) -> Move:
     """Evaluate a move that starts at standstill with the recording; `target` in counts."""
     displacement = displacement_at(recording, plant, axis, target, ARRIVED)
-    error = float(np.abs(recording.position_ref - recording.shaft).max())
+    error = float(np.abs(recording["position_ref"] - shaft_counts(recording)).max())
     settling = rig.settling_time(recording, target, ARRIVED + displacement, 0.0)
     return Move(recording, error, rig.overshoot(recording, target), settling, displacement)
 
@@ -147,7 +148,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             judge = Judge(f"{axis_name(axis)} {turns:g} turns, ")
             yield from _rows(judge, of_axis, inertias[axis], frictions[axis])
             curves = [
-                Curve(choice, r.time, np.abs(r.position_ref - r.shaft) + 0.1)
+                Curve(choice, r.time, np.abs(r["position_ref"] - shaft_counts(r)) + 0.1)
                 for choice, r in ((choice, move.recording) for choice, move in of_axis.items())
             ]
             title = f"{axis_name(axis)}, {turns:g} turns: following error"
@@ -171,7 +172,7 @@ def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: 
     beyond = max(move.overshoot for move in forward)
     yield judge("largest overshoot", beyond, "counts", maximum=maximum, reference=REFERENCE_OVERSHOOT)
     later = _settling_increase(none.settling, [move.settling for move in forward])
-    lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
+    lag = none.error * COUNT / max(float(np.abs(none.recording["omega"]).max()), 1e-9)
     apart = SETTLING_INCREASE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
     yield judge("additional settling time", later, "s", maximum=SETTLING_INCREASE_MAX, apart=apart)
 

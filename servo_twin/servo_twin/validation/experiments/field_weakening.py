@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_tuning.field_weakening import largest_torque
 from servo_tuning.field_weakening import top_speed as speed_left
 
@@ -20,7 +21,7 @@ from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import modulation, over_voltage
-from servo_twin.validation.experiments.rig import RPM, TICK, AxisTrace, at, command_speed, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, TICK, at, command_speed, record, set_up, spinning
 
 NAME: Final = "field-weakening"
 HELP: Final = """\
@@ -66,9 +67,9 @@ Events = Mapping[float, Callable[[Board], object]]
 """Actions by time since the set-point [s]."""
 
 
-def free_voltage(recording: AxisTrace) -> NDArray[np.float64]:
+def free_voltage(recording: Trace) -> NDArray[np.float64]:
     """Voltage limit minus stator voltage [V]."""
-    return np.asarray(modulation() * recording.u_dc - np.hypot(recording.u_d, recording.u_q))
+    return np.asarray(modulation() * recording["u_dc"] - np.hypot(recording["u_d"], recording["u_q"]))
 
 
 def theoretical_speed(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
@@ -99,7 +100,7 @@ def run_with(
     *,
     weak: bool = True,
     may_fail: bool = False,
-) -> Mapping[int, AxisTrace]:
+) -> Mapping[int, Trace]:
     """Run to rated speed, with events."""
     with at_rated(plant, seed, axes, weak=weak) as board:
         act = at({time: functools.partial(do, board) for time, do in events.items()})
@@ -118,28 +119,30 @@ def _supply(volts: float) -> Callable[[Board], object]:
     return lambda board: board.set_supply(volts)
 
 
-def _speed(judge: Judge, recording: AxisTrace, target: float) -> Row:
+def _speed(judge: Judge, recording: Trace, target: float) -> Row:
     """Mean speed, compared with the theoretical one [rad/s]."""
     reference, target = f"{BEYOND}; {target / RPM:.0f} rpm in theory", target / RPM
-    speed = float(recording.omega.mean()) / RPM
+    speed = float(recording["omega"].mean()) / RPM
     return judge(
         "speed", speed, "rpm", (1.0 - SPEED_TOLERANCE) * target, (1.0 + SPEED_TOLERANCE) * target, reference=reference
     )
 
 
-def _free(judge: Judge, recording: AxisTrace, maximum: float | None = None) -> Row:
+def _free(judge: Judge, recording: Trace, maximum: float | None = None) -> Row:
     return judge("voltage reserve", free_voltage(recording).mean(), "V", MARGIN - MARGIN_TOLERANCE, maximum)
 
 
-def _deviation_rows(judge: Judge, recording: AxisTrace) -> Iterator[Row]:
-    yield judge("standard deviation of the speed", recording.omega.std() / RPM, "rpm", 0.0, SPEED_DEVIATION_MAX / RPM)
-    yield judge("standard deviation of i_d", recording.i_d.std(), "A", 0.0, I_D_DEVIATION_MAX)
+def _deviation_rows(judge: Judge, recording: Trace) -> Iterator[Row]:
+    yield judge(
+        "standard deviation of the speed", recording["omega"].std() / RPM, "rpm", 0.0, SPEED_DEVIATION_MAX / RPM
+    )
+    yield judge("standard deviation of i_d", recording["i_d"].std(), "A", 0.0, I_D_DEVIATION_MAX)
 
 
 # ---- torque over speed -----------------------------------------------------------------------------------------------
 
 
-def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> AxisTrace:
+def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> Trace:
     """The end of a run under a constant load [N m]."""
     end = RUN_UP + SETTLE + MEASURED
     return run_with(plant, seed, {RUN_UP: _load(load)}, end, weak=weak)[AXIS].part(end - MEASURED)
@@ -152,7 +155,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
         recording = loaded(plant, seed, load, weak=weak)
         judge = Judge(f"{1e3 * load:g} mN m {'with' if weak else 'without'} field weakening: ")
         yield _speed(judge, recording, theoretical_speed(axis, volts, load, weak=weak))
-        speeds[weak].append(float(recording.omega.mean()))
+        speeds[weak].append(float(recording["omega"].mean()))
         if weak:
             yield _free(judge, recording, MARGIN + MARGIN_TOLERANCE)
             yield from _deviation_rows(judge, recording)
@@ -182,11 +185,11 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
         rest: lambda board: command_speed(board, AXIS, 0.0),
     }
     whole = run_with(plant, seed, events, rest + SETTLE + MEASURED)[AXIS]
-    idle, high = whole.part(RUN_UP - MEASURED, RUN_UP), float(whole.part(0.0, rest).omega.max())
-    dip = RATED - float(whole.part(RUN_UP, RUN_UP + DROP_WINDOW).omega.min())
+    idle, high = whole.part(RUN_UP - MEASURED, RUN_UP), float(whole.part(0.0, rest)["omega"].max())
+    dip = RATED - float(whole.part(RUN_UP, RUN_UP + DROP_WINDOW)["omega"].min())
     near = RATED * (1.0 - REACHED) / RPM, RATED * (1.0 + REACHED) / RPM
     judge = Judge("run-up without load: ")
-    yield judge("speed", float(idle.omega.mean()) / RPM, "rpm", *near)
+    yield judge("speed", float(idle["omega"].mean()) / RPM, "rpm", *near)
     yield _free(judge, idle, MARGIN + MARGIN_TOLERANCE)
     judge, at_rest = Judge(), whole.part(rest + SETTLE)
     yield judge(
@@ -197,7 +200,7 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
         DROP_RATIO_MAX,
     )
     yield judge("highest speed after load removal", high / RPM, "rpm", 0.0, (1.0 + OVERSHOOT_MAX) * RATED / RPM)
-    yield judge("i_d at standstill", np.abs(at_rest.i_d).mean(), "A", 0.0, 0.1)
+    yield judge("i_d at standstill", np.abs(at_rest["i_d"]).mean(), "A", 0.0, 0.1)
     yield _panel("run-up, load step, stop", whole)
 
 
@@ -207,13 +210,13 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
         command_speed(board, AXIS, speed)
         record(board, [AXIS], RUN_UP)
         board.set_load(AXIS, STEP)
-        return speed - float(record(board, [AXIS], DROP_WINDOW)[AXIS].omega.min())
+        return speed - float(record(board, [AXIS], DROP_WINDOW)[AXIS]["omega"].min())
 
 
 # ---- a supply that sags ----------------------------------------------------------------------------------------------
 
 
-def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, AxisTrace]:
+def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, Trace]:
     """The supply drops to a voltage [V] under load, and returns after SETTLE + MEASURED."""
     events = {
         RUN_UP - MEASURED: _load(SAG_LOAD, axes),
@@ -223,17 +226,17 @@ def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS
     return run_with(plant, seed, events, RUN_UP + 2.0 * (SETTLE + MEASURED), axes)
 
 
-def _sag_rows(judge: Judge, axis: AxisPlant, recording: AxisTrace, volts: float) -> Iterator[Row]:
+def _sag_rows(judge: Judge, axis: AxisPlant, recording: Trace, volts: float) -> Iterator[Row]:
     back = RUN_UP + SETTLE + MEASURED
     low, after = recording.part(back - MEASURED, back), recording.part(back)
-    again = after.time[np.abs(after.omega - RATED) > 2.0 * REACHED * RATED]
+    again = after.time[np.abs(after["omega"] - RATED) > 2.0 * REACHED * RATED]
     time = float(again[-1]) - back if again.size else 0.0
     yield _speed(judge, low, theoretical_speed(axis, volts, SAG_LOAD, weak=True))
     yield _free(judge, low)
     yield from _deviation_rows(judge, low)
     yield judge("recovery time after the supply returns", time, "s", 0.0, RECOVERY_TIME_MAX)
     maximum = (1.0 + 2.0 * REACHED) * RATED / RPM
-    yield judge("highest speed after the supply returns", float(after.omega.max()) / RPM, "rpm", 0.0, maximum)
+    yield judge("highest speed after the supply returns", float(after["omega"].max()) / RPM, "rpm", 0.0, maximum)
 
 
 # ---- a fault ---------------------------------------------------------------------------------------------------------
@@ -249,16 +252,16 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
             hot: lambda board: board.inject(HotPowerStage(AXIS, HOT)),
         }
         recording = run_with(plant, seed, events, hot + FAULT_SEEN, may_fail=True)[AXIS]
-        judge, found = Judge(f"fault at {volts:g} V: "), np.nonzero(recording.faults)[0]
+        judge, found = Judge(f"fault at {volts:g} V: "), np.nonzero(recording["faults"])[0]
         after = recording.part(float(recording.time[found[0]])) if found.size else recording
         # The capacitor may still be above the reduced supply.
-        charged = float(recording.part(hot - TICK, hot).u_dc.max())
+        charged = float(recording.part(hot - TICK, hot)["u_dc"].max())
         emf = math.sqrt(3.0) * plant.axes[AXIS].pole_pairs * plant.axes[AXIS].psi_m * RATED
         yield judge.true("detected", found.size > 0)
-        yield judge.none("still in RUN in the tick of the fault", after.state[0] == recording.state[0])
-        yield judge("current after the next tick", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
+        yield judge.none("still in RUN in the tick of the fault", after["state"][0] == recording["state"][0])
+        yield judge("current after the next tick", np.hypot(after["i_d"], after["i_q"])[1:].max(), "A", 0.0, 0.1)
         maximum = min(max(charged, emf) + NOISE, over_voltage())
-        yield judge("highest bus voltage", after.u_dc.max(), "V", 0.0, maximum)
+        yield judge("highest bus voltage", after["u_dc"].max(), "V", 0.0, maximum)
 
 
 # ---- other motors ----------------------------------------------------------------------------------------------------
@@ -277,12 +280,12 @@ def _motor_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield next(_deviation_rows(judge, recording))
 
 
-def _panel(title: str, recording: AxisTrace) -> Panel:
+def _panel(title: str, recording: Trace) -> Panel:
     time = 1e3 * recording.time
     curves = (
-        Curve("speed [1000 rpm]", time, recording.omega / RPM / 1e3),
-        Curve("i_d [A]", time, recording.i_d),
-        Curve("i_q [A]", time, recording.i_q),
+        Curve("speed [1000 rpm]", time, recording["omega"] / RPM / 1e3),
+        Curve("i_d [A]", time, recording["i_d"]),
+        Curve("i_q [A]", time, recording["i_q"]),
         Curve("voltage reserve [V]", time, np.minimum(free_voltage(recording), 3.0)),
     )
     return Panel(title, "time [ms]", "", curves)

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.plant import PlantConfig
@@ -17,7 +18,7 @@ from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.dead_time_torque import displacement, response
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import nominal_shafts
-from servo_twin.validation.experiments.rig import COUNT, RPM, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, RPM, TICK, shaft_counts
 
 NAME: Final = "friction"
 HELP: Final = """\
@@ -60,16 +61,16 @@ def uncompensated(times: float) -> float:
     return abs(times - 1.0) / times
 
 
-def position_lag(recording: AxisTrace) -> NDArray[np.float64]:
+def position_lag(recording: Trace) -> NDArray[np.float64]:
     """Lag of the true shaft behind the integral of the speed set-point [counts]."""
-    reference = np.cumsum(recording.speed_ref) * TICK
-    return np.asarray((reference - (recording.theta - recording.theta[0])) / COUNT)
+    reference = np.cumsum(recording["speed_ref"]) * TICK
+    return np.asarray((reference - (recording["theta"] - recording["theta"][0])) / COUNT)
 
 
 # ---- runs of both axes, without and with the feature -----------------------------------------------------------------
 
 
-def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
+def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Trace]:
     """Start from standstill to a low speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -80,7 +81,7 @@ def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
         return rig.record(board, range(AXES), START_TIME)
 
 
-def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
+def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Trace]:
     """Sinusoidal speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -93,7 +94,7 @@ def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrac
         return rig.record(board, range(AXES), SETTLE + MEASURED, act)
 
 
-def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, AxisTrace]:
+def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, Trace]:
     """Sinusoidal position, with feed-forward of speed and acceleration in both runs."""
     with rig.spinning(plant, seed) as board:
         starts = [rig.position_of(board, axis) for axis in range(AXES)]
@@ -125,7 +126,7 @@ def expected_at_start(shaft: Shaft, fraction: float) -> float:
     return _rms(response(torques, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier))
 
 
-def lost_at_start(recording: AxisTrace, shaft: Shaft) -> float:
+def lost_at_start(recording: Trace, shaft: Shaft) -> float:
     """RMS position lag, without the part caused by the inverter [counts]."""
     return _rms(
         position_lag(recording)
@@ -133,7 +134,7 @@ def lost_at_start(recording: AxisTrace, shaft: Shaft) -> float:
     )
 
 
-def lost_at_reversals(recording: AxisTrace, shaft: Shaft) -> float:
+def lost_at_reversals(recording: Trace, shaft: Shaft) -> float:
     """RMS of the position lag about its mean, over whole periods, without the part of the inverter [counts]."""
     position = position_lag(recording) + displacement(
         recording, shaft.plant, shaft.axis, position=False, heavier=shaft.heavier
@@ -142,10 +143,10 @@ def lost_at_reversals(recording: AxisTrace, shaft: Shaft) -> float:
     return _rms(position - position.mean())
 
 
-def following_error(recording: AxisTrace, shaft: Shaft) -> float:
+def following_error(recording: Trace, shaft: Shaft) -> float:
     """RMS of the true following error, over whole periods, without the part caused by the inverter [counts]."""
     cost = displacement(recording, shaft.plant, shaft.axis, position=True, heavier=shaft.heavier)
-    return _rms((recording.position_ref - recording.shaft + cost)[round(SETTLE / TICK) :])
+    return _rms((recording["position_ref"] - shaft_counts(recording) + cost)[round(SETTLE / TICK) :])
 
 
 @dataclass(frozen=True)
@@ -154,11 +155,11 @@ class Task:
 
     name: str
     note: str  # name in the notes
-    run: Callable[[PlantConfig, int, bool], dict[int, AxisTrace]]  # runs both axes, without or with the feature
+    run: Callable[[PlantConfig, int, bool], dict[int, Trace]]  # runs both axes, without or with the feature
     figure: str
-    measure: Callable[[AxisTrace, Shaft], float]  # RMS figure [counts]
+    measure: Callable[[Trace, Shaft], float]  # RMS figure [counts]
     label: str
-    signal: Callable[[AxisTrace], NDArray[np.float64]]  # curve of the picture [counts]
+    signal: Callable[[Trace], NDArray[np.float64]]  # curve of the picture [counts]
     shown: float  # start of the picture [s]
 
 
@@ -171,12 +172,12 @@ TASKS: Final = (
     ),
     Task(
         "reversals of position", "of position", reverse_position, "following error", following_error,
-        "following error", lambda r: np.asarray(r.position_ref - r.shaft), END - 1.0 / POSITION_FREQUENCY,
+        "following error", lambda r: np.asarray(r["position_ref"] - shaft_counts(r)), END - 1.0 / POSITION_FREQUENCY,
     ),
 )  # fmt: skip
 
 
-def deviation_max(task: Task, without: AxisTrace, shaft: Shaft, fraction: float) -> float:
+def deviation_max(task: Task, without: Trace, shaft: Shaft, fraction: float) -> float:
     """Permitted remaining error [counts]: part of the uncompensated friction, and encoder quantisation.
 
     With a larger inertia the loop is slower, and the quantisation error increases by the same factor.
@@ -215,9 +216,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield _note(times, shafts, found)
 
 
-def _note(
-    times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, AxisTrace], dict[int, AxisTrace]]]
-) -> str:
+def _note(times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, Trace], dict[int, Trace]]]) -> str:
     """Note with the figures and the part caused by the inverter."""
     parts = [
         f"{task.note} "
@@ -239,7 +238,7 @@ def _note(
     )
 
 
-def _panel(title: str, task: Task, shown: Mapping[str, AxisTrace]) -> Panel:
+def _panel(title: str, task: Task, shown: Mapping[str, Trace]) -> Panel:
     first = round(task.shown / TICK)
     curves = [Curve(how, r.time[first:], task.signal(r)[first:]) for how, r in shown.items()]
     return Panel(title, "time [s]", f"{task.label} [counts]", curves)

@@ -12,6 +12,7 @@ import numpy as np
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
@@ -21,7 +22,7 @@ from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.pins import fit
 from servo_twin.validation.experiments.plant_limits import ripple
-from servo_twin.validation.experiments.rig import COUNT, TICK_NS, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, TICK_NS, shaft_counts
 
 NAME: Final = "homing"
 HELP: Final = """\
@@ -275,8 +276,8 @@ class Unhomed:
     """Axes with the feature HOMING that are not homed, with a far position and a speed as set-points."""
 
     start: list[int]  # position at the enable [counts]
-    stationary: dict[int, AxisTrace]  # after the far position set-point
-    turning: dict[int, AxisTrace]  # with the speed set-point
+    stationary: dict[int, Trace]  # after the far position set-point
+    turning: dict[int, Trace]  # with the speed set-point
     reach: float  # permitted distance [counts]
     mask: int  # bit of the expected limit
 
@@ -327,9 +328,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis, (stationary, turning) in enumerate(
         zip(unreferenced.stationary.values(), unreferenced.turning.values(), strict=True)
     ):
-        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - unreferenced.start[axis]
-        named = stationary.limits[-1] & turning.limits[-1] & unreferenced.mask
-        yield judge("motion by a refused far set-point", np.ptp(stationary.shaft), "counts", maximum=2.0)
+        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), shaft_counts(turning) - unreferenced.start[axis]
+        named = stationary["limits"][-1] & turning["limits"][-1] & unreferenced.mask
+        yield judge("motion by a refused far set-point", np.ptp(shaft_counts(stationary)), "counts", maximum=2.0)
         yield judge(
             "rotation by a speed set-point",
             direction.max(),

@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import COUNT, RPM, AxisTrace, record, set_up, spinning
+from servo_twin.validation.experiments.rig import COUNT, RPM, record, set_up, spinning
 
 NAME: Final = "low-speed"
 HELP: Final = """\
@@ -36,16 +37,16 @@ POSITION_ERROR_MAX: Final = 8.0
 """Permitted position error after the measured time [counts]."""
 
 
-def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> AxisTrace:
+def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Trace:
     """Closed loop at a constant set-point [rad/s], after settling."""
     with spinning(plant, seed) as board:
         set_up(board, axis, "SPEED", speed, ENHANCED_MT=enhanced)
         return record(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
 
-def deviation(recording: AxisTrace, speed: float) -> float:
+def deviation(recording: Trace, speed: float) -> float:
     """RMS deviation of the true speed, relative to the set-point [1]."""
-    return float(np.sqrt(np.mean((recording.omega - speed) ** 2)) / speed)
+    return float(np.sqrt(np.mean((recording["omega"] - speed) ** 2)) / speed)
 
 
 @experiment(NAME)
@@ -57,7 +58,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for rpm in SPEEDS:
             what, speed = f"{axis_name(axis)} {rpm:g} rpm", rpm * RPM
             plain, better = both = [hold_speed(plant, seed, axis, speed, enhanced) for enhanced in (False, True)]
-            rms, means = [deviation(r, speed) for r in both], [float(r.omega.mean()) for r in both]
+            rms, means = [deviation(r, speed) for r in both], [float(r["omega"].mean()) for r in both]
             ratio = rms[1] / max(rms[0], 1e-9)
             if rpm < RARE_EDGES:
                 rare.append(ratio)
@@ -76,9 +77,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield judge("deviation, enhanced / plain", min(rare), maximum=DEVIATION_RATIO_MAX)
 
 
-def _panel(title: str, rpm: float, plain: AxisTrace, better: AxisTrace) -> Panel:
+def _panel(title: str, rpm: float, plain: Trace, better: Trace) -> Panel:
     parts = {"plain M/T": plain.part(SETTLE, SETTLE + 1.0), "enhanced M/T": better.part(SETTLE, SETTLE + 1.0)}
-    curves = [Curve(label, part.time - SETTLE, part.omega / RPM) for label, part in parts.items()]
+    curves = [Curve(label, part.time - SETTLE, part["omega"] / RPM) for label, part in parts.items()]
     time = curves[0].x
     curves.append(Curve("set-point", time, np.full(time.size, rpm), "k--"))
     return Panel(f"{title}: true speed", "time [s]", "speed [rpm]", curves)

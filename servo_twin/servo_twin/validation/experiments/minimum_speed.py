@@ -8,13 +8,14 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.rig import RPM, TICK, command_speed
 from servo_twin.validation.experiments.sensorless import (
-    Trace,
+    angle_error,
     back_emf,
     dead_voltage,
     ended,
@@ -85,7 +86,7 @@ def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequen
             speed = part * limit
             command_speed(board, axis, speed)
             trace = follow(board, [axis], SETTLE + MEASURED, lambda _: remove_load_if_ended(board, axis))[axis]
-            fastest = max(fastest, float(np.abs(trace.omega).max()))
+            fastest = max(fastest, float(np.abs(trace["omega"]).max()))
             if why := ended(board, axis) or _not_held(trace, speed):
                 end = why
                 break
@@ -97,7 +98,7 @@ def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequen
 
 def _not_held(trace: Trace, speed: float) -> str:
     """Reason why a speed is not maintained; empty: it is."""
-    omega = trace.part(SETTLE).omega
+    omega = trace.part(SETTLE)["omega"]
     mean = float(omega.mean())
     if abs(mean / speed - 1.0) > MEAN_MAX:
         return f"a mean of {mean / RPM:.3g} rpm"
@@ -126,9 +127,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             part, maximum = 100.0 * lowest / limit, _lowest_speed_max(plant, axis, limit)
             yield judge("lowest speed", part, "% of limit", maximum=maximum, reference=reference)
             yield judge("largest speed", descent.fastest / descent.speeds[0], maximum=RUNAWAY_MAX)
+            ripple = float(trace["omega"].std()) / lowest
             yield (
-                f"{label}: down to {lowest / RPM:.3g} rpm, ripple {100.0 * float(trace.omega.std()) / lowest:.2g} %, "
-                f"angle error up to {float(np.abs(trace.error).max()):.2g} deg; ended by {descent.end}"
+                f"{label}: down to {lowest / RPM:.3g} rpm, ripple {100.0 * ripple:.2g} %, "
+                f"angle error up to {float(np.abs(angle_error(trace)).max()):.2g} deg; ended by {descent.end}"
             )
-            curves.append(Curve(f"load {100.0 * load:.0f} %", trace.time, trace.omega / RPM))
+            curves.append(Curve(f"load {100.0 * load:.0f} %", trace.time, trace["omega"] / RPM))
         yield Panel(f"{name}: true speed at the lowest set-points", "time [s]", "speed [rpm]", curves)

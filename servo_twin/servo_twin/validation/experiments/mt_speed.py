@@ -9,11 +9,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import COUNT, RPM, TICK, AxisTrace, edge_shift, features, fresh_board, record
+from servo_twin.validation.experiments.rig import COUNT, RPM, TICK, edge_shift, features, fresh_board, record
 
 NAME: Final = "mt-speed"
 HELP: Final = """\
@@ -67,13 +68,13 @@ class Edges:
         return Edges(self.time[b], self.number[b])
 
 
-def edges_of(recording: AxisTrace, start_angle: float, shift: float = 0.0) -> Edges:
+def edges_of(recording: Trace, start_angle: float, shift: float = 0.0) -> Edges:
     """Edges of a shaft that rotates forwards, with constant acceleration within each slow tick.
 
     All edges are shifted by `shift` [counts].
     """
-    theta = np.concatenate([[start_angle], np.maximum.accumulate(recording.theta)])
-    omega = np.concatenate([[recording.omega[0]], recording.omega])
+    theta = np.concatenate([[start_angle], np.maximum.accumulate(recording["theta"])])
+    omega = np.concatenate([[recording["omega"][0]], recording["omega"]])
     time = np.concatenate([[recording.time[0] - TICK], recording.time])
     first_edge, end = np.floor(theta[[0, -1]] / COUNT - shift) + 1
     number = np.arange(first_edge, end).astype(np.int64)
@@ -102,13 +103,13 @@ class Uncertainty:
 
 
 def uncertainty_of(
-    recording: AxisTrace, start_angle: float, shift: float, now: NDArray[np.float64], counts: NDArray[np.float64]
+    recording: Trace, start_angle: float, shift: float, now: NDArray[np.float64], counts: NDArray[np.float64]
 ) -> Uncertainty:
     """Uncertainty of a recording.
 
     Parameters
     ----------
-    recording : AxisTrace
+    recording : Trace
         Recording of the shaft.
     start_angle : float
         Angle before the recording [rad].
@@ -150,7 +151,7 @@ class Methods:
     uncertainty: Uncertainty  # uncertainty of `m2` and `age` by the encoder
 
 
-def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> AxisTrace:
+def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Trace:
     """Drive the shaft of a disabled motor externally; `speed_at` is the speed after each slow tick [rad/s]."""
     axis = plant.axes[AXIS]
     with fresh_board(plant, seed) as board:
@@ -175,13 +176,11 @@ def start_angle(plant: PlantConfig, seed: int) -> float:
     return angle
 
 
-def methods(
-    plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float
-) -> tuple[AxisTrace, Methods]:
+def methods(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float) -> tuple[Trace, Methods]:
     """One run with a speed [rad/s] by tick for `seconds` [s], evaluated with all methods."""
     plain = drive(plant, seed, speed_at, seconds, enhanced=False)
     better = drive(plant, seed, speed_at, seconds, enhanced=True)
-    assert np.array_equal(plain.theta, better.theta), "a disabled motor must not act on the shaft"
+    assert np.array_equal(plain["theta"], better["theta"]), "a disabled motor must not act on the shaft"
     edges = edges_of(better, start_angle(plant, seed))
     now = better.time + SNAPSHOT
     t_m2, t_age, _ = _intervals(edges, now, edges.time)
@@ -189,10 +188,10 @@ def methods(
     edge_speed = np.divide(counts * COUNT * TIMER, m2, out=np.zeros_like(m2), where=m2 > 0)
     factor = np.where(age > m2, m2 / np.maximum(age, 1.0), 1.0)
     found = Methods(
-        m=np.diff(better.position, prepend=0.0) * COUNT / TICK,
+        m=np.diff(better["position"], prepend=0.0) * COUNT / TICK,
         t=np.divide(COUNT * TIMER, t_m2, out=np.zeros_like(t_m2), where=t_m2 > 0),
-        mt=plain.speed,
-        enhanced=better.speed,
+        mt=plain["speed"],
+        enhanced=better["speed"],
         m2=m2,
         age=age,
         from_edges=np.where(age < 0x10000, edge_speed * factor, 0.0),
@@ -248,7 +247,7 @@ def steady(plant: PlantConfig, seed: int, speed: float) -> Steady:
     seconds = max(0.1, 6.0 * spacing)
     recording, found = methods(plant, seed, lambda k: speed, seconds)
     window = recording.time > 0.02 + 3.0 * spacing
-    true = recording.omega[window]
+    true = recording["omega"][window]
 
     def worst(measured: NDArray[np.float64], weight: NDArray[np.float64] | float = 1.0) -> float:
         return float(np.max(np.abs(measured[window] / true - 1.0) * weight))
@@ -296,7 +295,7 @@ class Slowing:
     deviation: float  # largest, from E33 and F19 [timer ticks]
 
 
-def slowing(brake: AxisTrace, slow: Methods) -> Slowing:
+def slowing(brake: Trace, slow: Methods) -> Slowing:
     """Stagnation of every method, and deviation of the enhanced method while the next edge is overdue."""
     moving = (brake.time > 0.05) & (slow.m2 > 0)
     late = moving & (slow.age > slow.m2 + slow.uncertainty.of_m2) & ~slow.uncertainty.of_edge
@@ -360,9 +359,9 @@ def _error_panel(found: dict[float, Steady]) -> Panel:
     return Panel("largest error at steady speed", "speed [rpm]", "error [%]", curves, log_x=True, log_y=True)
 
 
-def _brake_panel(brake: AxisTrace, slow: Methods) -> Panel:
+def _brake_panel(brake: Trace, slow: Methods) -> Panel:
     part = slice(round((0.1 + 0.7 * BRAKE_TIME) / TICK), None)
     time = 1e3 * brake.time[part]
-    named = {"true": brake.omega, "T": slow.t, "M/T": slow.mt, "enhanced M/T": slow.enhanced}
+    named = {"true": brake["omega"], "T": slow.t, "M/T": slow.mt, "enhanced M/T": slow.enhanced}
     curves = [Curve(label, time, y[part] / RPM, "k-" if label == "true" else "-") for label, y in named.items()]
     return Panel("deceleration to standstill (M: multiples of 30 rpm)", "time [ms]", "speed [rpm]", curves)

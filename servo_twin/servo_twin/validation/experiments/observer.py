@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -16,7 +17,6 @@ from servo_twin.simulation import SimulationError
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.rig import RPM, command_speed, set_up, spinning
 from servo_twin.validation.experiments.sensorless import (
-    Trace,
     back_emf,
     dead_voltage,
     degrees,
@@ -118,7 +118,7 @@ def measure(
                 board.set_load(axis, part * current * motor.torque_constant)
                 follow(board, [], SETTLE)
                 trace = follow(board, [axis], MEASURED)[axis]
-                if trace.faults.any():
+                if trace["faults"].any():
                     raise SimulationError(f"{axis_name(axis)} ended in a fault at {speed * limit / RPM:.0f} rpm")
                 found[speed, part] = _point(trace, speed * limit, encoder_offset)
             board.set_load(axis, 0.0)
@@ -128,10 +128,10 @@ def measure(
 
 def _point(trace: Trace, speed: float, encoder_offset: float) -> Point:
     """Evaluate a trace against the encoder, which is sampled simultaneously."""
-    error = degrees(trace.angle - trace.used + math.radians(encoder_offset))
+    error = degrees(trace["angle"] - trace["used"] + math.radians(encoder_offset))
     mean = float(error.mean())
     amplitude = float(np.abs(error - mean).max())
-    return Point(speed, float(trace.i_q.mean()), mean, float(error.std()), amplitude, trace)
+    return Point(speed, float(trace["i_q"].mean()), mean, float(error.std()), amplitude, trace)
 
 
 def theoretical_error(motor: AxisPlant, nominal: AxisPlant, speed: float, i_q: float) -> float:
@@ -165,7 +165,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield _over_speed(name, points)
         errors = {"dead time compensated": slow, "not compensated": doubled}
         curves = [
-            Curve(label, error.trace.time, degrees(error.trace.angle - error.trace.used) - error.mean)
+            Curve(label, error.trace.time, degrees(error.trace["angle"] - error.trace["used"]) - error.mean)
             for label, error in errors.items()
         ]
         yield Panel(f"{what}, {slow.i_q:.2g} A: error minus its mean", "time [s]", "error [deg]", curves)

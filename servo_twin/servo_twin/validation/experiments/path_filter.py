@@ -7,13 +7,14 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, TICK
 
 NAME: Final = "path-filter"
 HELP: Final = """\
@@ -64,7 +65,7 @@ def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: flo
     return 0.5 * (low + high)
 
 
-def record(plant: PlantConfig, seed: int, limit: float) -> tuple[AxisTrace, float, int]:
+def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Trace, float, int]:
     """One long move with a speed limit [rad/s]: recording, speed limit [counts/s] and distance [counts]."""
     with rig.spinning(plant, seed) as board:
         target = rig.position_of(board, AXIS) + round(TURNS * COUNTS_PER_TURN)
@@ -75,10 +76,10 @@ def record(plant: PlantConfig, seed: int, limit: float) -> tuple[AxisTrace, floa
         return rig.record(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
 
 
-def figures(recording: AxisTrace, speed: float, distance: int, axis_limit: float) -> Iterator[Row]:
+def figures(recording: Trace, speed: float, distance: int, axis_limit: float) -> Iterator[Row]:
     """Rows for a path; `axis_limit` is the largest acceleration of the drive [counts/s^2]."""
     duration = distance / speed
-    path = recording.position_ref - (recording.position_ref[-1] - distance)
+    path = recording["position_ref"] - (recording["position_ref"][-1] - distance)
     omega_n = fit_omega_n(recording.time, path, speed, duration)
     ideal = analytic(recording.time, speed, duration, omega_n)
     ramp = np.minimum(speed * recording.time, float(distance))
@@ -121,11 +122,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     maximum = current_limits(plant, seed)[AXIS]
     feasible = (axis.torque_constant * maximum - axis.friction) / axis.inertia / COUNT
     yield from figures(r, speed, distance, feasible)
-    start, turn = r.position_ref[-1] - distance, float(COUNTS_PER_TURN)
-    ramp, path = np.minimum(speed * r.time, float(distance)), r.position_ref - start
-    positions = {"ramp": ramp / turn, "S curve": path / turn, "shaft": (r.position - start) / turn}
+    start, turn = r["position_ref"][-1] - distance, float(COUNTS_PER_TURN)
+    ramp, path = np.minimum(speed * r.time, float(distance)), r["position_ref"] - start
+    positions = {"ramp": ramp / turn, "S curve": path / turn, "shaft": (r["position"] - start) / turn}
     turning = {"ramp": np.gradient(ramp, TICK) / turn, "S curve": np.gradient(path, TICK) / turn}
-    turning["shaft"] = r.omega / (2.0 * np.pi)
+    turning["shaft"] = r["omega"] / (2.0 * np.pi)
     for title, label, lines in (
         ("F23: path", "position [turns]", positions),
         ("F24: speed", "speed [turns/s]", turning),

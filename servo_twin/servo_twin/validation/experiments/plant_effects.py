@@ -10,12 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import TICK, AxisTrace, choose_mode, record, set_axis, set_up, spinning
+from servo_twin.validation.experiments.rig import TICK, choose_mode, record, set_axis, set_up, spinning
 
 NAME: Final = "real-shaft"
 HELP: Final = """\
@@ -79,7 +80,7 @@ def ringing(board: Board, axis: int) -> Comparison:
     choose_mode(board, axis, "TORQUE")
     set_axis(board, "cmd.i_q", axis, 0.5)
     part = record(board, [axis], RING)[axis]
-    time, speed = part.time[2:], part.speed[2:]
+    time, speed = part.time[2:], part["speed"][2:]
     frequencies = np.arange(0.5, 1.5, 1e-3) * RESONANCE
     trend = np.stack([np.ones_like(time), time, time**2], axis=1)
 
@@ -89,11 +90,11 @@ def ringing(board: Board, axis: int) -> Comparison:
         return float(np.std(speed - matrix @ np.linalg.lstsq(matrix, speed, rcond=None)[0]))
 
     return Comparison(
-        float(frequencies[np.argmin([residual(f) for f in frequencies])]), shaft.resonance, part.time, part.speed
+        float(frequencies[np.argmin([residual(f) for f in frequencies])]), shaft.resonance, part.time, part["speed"]
     )
 
 
-def held_speed(board: Board, axis: int, speed: float, seconds: float) -> AxisTrace:
+def held_speed(board: Board, axis: int, speed: float, seconds: float) -> Trace:
     """Recording of `seconds` [s] at a constant speed [rad/s]."""
     set_up(board, axis, "SPEED", speed)
     record(board, [axis], SETTLE)
@@ -122,15 +123,17 @@ def speed_ripple(board: Board, axis: int) -> Comparison:
     """Ripple of the true speed while the controller keeps the measured speed constant."""
     shaft = board.plant.axes[axis]
     part = held_speed(board, axis, FAST, 0.5)
-    return Comparison(wave(part.theta, part.omega), shaft.disc_eccentricity * FAST, part.time, part.omega)
+    return Comparison(wave(part["theta"], part["omega"]), shaft.disc_eccentricity * FAST, part.time, part["omega"])
 
 
 def current_ripple(board: Board, axis: int) -> Comparison:
     """Current of the speed loop that compensates the cogging."""
     shaft = board.plant.axes[axis]
     part = held_speed(board, axis, SLOW, 2.0)
-    amplitude = wave(shaft.cogging_periods * part.theta, part.i_q)
-    return Comparison(amplitude, shaft.cogging_torque / shaft.torque_constant, part.theta - part.theta[0], part.i_q)
+    amplitude = wave(shaft.cogging_periods * part["theta"], part["i_q"])
+    return Comparison(
+        amplitude, shaft.cogging_torque / shaft.torque_constant, part["theta"] - part["theta"][0], part["i_q"]
+    )
 
 
 def step_of_current(board: Board, axis: int, low: float, high: float) -> NDArray[np.float64]:
@@ -189,10 +192,10 @@ def magnet(board: Board, axis: int) -> Comparison:
     board.set_magnet(axis, HOT)
     board.set_load(axis, 0.5 * shaft.torque_constant)
     parts = [held_speed(board, axis, speed, 0.3) for speed in (FAST, 3.0 * FAST)]
-    u, speed = ([float(getattr(part, name).mean()) for part in parts] for name in ("u_q", "omega"))
+    u, speed = ([float(part[name].mean()) for part in parts] for name in ("u_q", "omega"))
     measured = (u[1] - u[0]) / (shaft.pole_pairs * (speed[1] - speed[0]))
     predicted = shaft.psi_m * (1.0 + MAGNET_COEFFICIENT * (HOT - board.plant.ambient))
-    return Comparison(1e3 * measured, 1e3 * predicted, parts[1].time, parts[1].u_q)
+    return Comparison(1e3 * measured, 1e3 * predicted, parts[1].time, parts[1]["u_q"])
 
 
 # ---- effects of the plant --------------------------------------------------------------------------------------------

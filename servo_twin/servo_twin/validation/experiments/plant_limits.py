@@ -153,10 +153,10 @@ def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: flo
         limited = board.catalogue.flag("limits", "CURRENT").mask
     currents: list[float] = []
     for recording in both.values():
-        k = int(np.argmax(recording.speed_ref > 0.5 * speed))
-        if recording.limits[k] & limited:
+        k = int(np.argmax(recording["speed_ref"] > 0.5 * speed))
+        if recording["limits"][k] & limited:
             raise SimulationError("the feed-forward cannot be measured: i_q* is at the current limit")
-        currents.append(float(recording.i_q_ref[k]))
+        currents.append(float(recording["i_q_ref"][k]))
     return currents
 
 
@@ -191,7 +191,7 @@ def path_demands(plant: PlantConfig, seed: int) -> list[Demand]:
     demands: list[Demand] = []
     for axis, recording in both.items():
         step = PROBE_SLOPE
-        speed = (recording.position_ref[step:] - recording.position_ref[:-step]) * COUNT / (step * TICK)
+        speed = (recording["position_ref"][step:] - recording["position_ref"][:-step]) * COUNT / (step * TICK)
         acceleration = float((speed[step:] - speed[:-step]).max()) / (step * TICK)
         demands.append(Demand(acceleration / speeds[axis], currents[axis]))
     return demands

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
@@ -17,7 +18,7 @@ from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.dead_time_torque import displacement, displacement_at
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import move_speeds, path_settles
-from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, TICK
 
 NAME: Final = "position"
 HELP: Final = """\
@@ -44,7 +45,7 @@ REFERENCE_NONE: Final = "no figure given"
 class Move:
     """Result of one move [counts], except where noted."""
 
-    recording: AxisTrace
+    recording: Trace
     overshoot: float  # largest distance beyond the target
     cycle: float  # peak to peak of the position after arrival, over the last half second
     error: float  # mean distance from the target over the last half second
@@ -55,9 +56,9 @@ class Move:
     displacement_range: float  # peak to peak of this displacement over the last half second
 
 
-def measure(recording: AxisTrace, target: int, ramp_end: float, plant: PlantConfig, axis: int) -> Move:
+def measure(recording: Trace, target: int, ramp_end: float, plant: PlantConfig, axis: int) -> Move:
     """Evaluate a move that starts with the recording; `target` in counts, `ramp_end` in seconds."""
-    last = recording.part(recording.time[-1] - REST / 2.0).position
+    last = recording.part(recording.time[-1] - REST / 2.0)["position"]
     inverter_displacement = displacement_at(recording, plant, axis, target, COUNTS_MAX)
     displacement_range = displacement(recording, plant, axis, position=True)[-last.size :]
     return Move(
@@ -115,12 +116,12 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield lowered
 
 
-def _panels(how: str, recordings: list[AxisTrace]) -> Iterator[Panel]:
+def _panels(how: str, recordings: list[Trace]) -> Iterator[Panel]:
     whole: list[Curve] = []
     for axis, r in enumerate(recordings):
-        for what, y, style in (("", r.position, ""), (" set-point", r.position_ref, "--")):
-            turns = (y - r.position[0]) / COUNTS_PER_TURN
+        for what, y, style in (("", r["position"], ""), (" set-point", r["position_ref"], "--")):
+            turns = (y - r["position"][0]) / COUNTS_PER_TURN
             whole.append(Curve(axis_name(axis) + what, r.time, turns, f"C{axis}{style}"))
     yield Panel(how, "time [s]", "position [turns]", whole)
-    error = [Curve(axis_name(axis), r.time, r.position_ref - r.position) for axis, r in enumerate(recordings)]
+    error = [Curve(axis_name(axis), r.time, r["position_ref"] - r["position"]) for axis, r in enumerate(recordings)]
     yield Panel(f"{how}: shaped set-point - position", "time [s]", "difference [counts]", error)

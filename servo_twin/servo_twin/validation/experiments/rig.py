@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
@@ -39,46 +39,22 @@ SETTLED: Final = 0.1
 SLOW: Final = 0.2 * COUNT / TICK  # speed with negligible motion between true value and snapshot of a tick [rad/s]
 
 
-@dataclass(frozen=True)
-class AxisTrace:
-    """One axis over time, one entry per slow tick."""
+WORDS: Final = ("limits", "faults", "state", "substate")
+"""Variables of an axis that are recorded as words of the firmware."""
 
-    time: NDArray[np.float64]  # since the start of the recording [s]
-    position: NDArray[np.float64]  # signal of the firmware [counts]
-    position_ref: NDArray[np.float64]  # signal of the firmware [counts]
-    speed_ref: NDArray[np.float64]  # signal of the firmware [rad/s]
-    speed: NDArray[np.float64]  # signal of the firmware [rad/s]
-    i_q_ref: NDArray[np.float64]  # signal of the firmware [A]
-    i_q: NDArray[np.float64]  # signal of the firmware [A]
-    i_d: NDArray[np.float64]  # signal of the firmware [A]
-    u_d: NDArray[np.float64]  # signal of the firmware [V]
-    u_q: NDArray[np.float64]  # signal of the firmware [V]
-    limits: NDArray[np.int64]  # word of the firmware
-    faults: NDArray[np.int64]  # word of the firmware
-    state: NDArray[np.int64]  # word of the firmware
-    substate: NDArray[np.int64]  # word of the firmware
-    theta: NDArray[np.float64]  # true mechanical angle [rad]
-    omega: NDArray[np.float64]  # true mechanical speed [rad/s]
-    i_q_true: NDArray[np.float64]  # true current [A]
-    torque: NDArray[np.float64]  # true air-gap torque [N m]
-    u_dc: NDArray[np.float64]  # true bus voltage [V]
+_COUNTED: Final = ("position", "position_ref")  # recorded in counts
+_SIGNALS: Final = ("speed_ref", "speed", "i_q_ref", "i_q", "i_d", "u_d", "u_q")  # recorded in SI
 
-    @property
-    def shaft(self) -> NDArray[np.float64]:
-        """True angle in the coordinates of `position` [counts], within half a count of it at low speed.
 
-        The median is used because a single tick may deviate by a tenth of a count with an uneven encoder.
-        """
-        counts = self.theta / COUNT
-        slow = np.abs(self.omega) < SLOW
-        slow[0] = True
-        return np.asarray(counts - np.round(np.median((counts - self.position)[slow]) - 0.5) - 0.5)
+def shaft_counts(recording: Trace) -> NDArray[np.float64]:
+    """True angle in the coordinates of ``position`` [counts], within half a count of it at low speed.
 
-    def part(self, start: float, end: float | None = None) -> AxisTrace:
-        """Ticks after `start` and up to `end` [s]; `time` is not shifted."""
-        before = round(float(self.time[0]) / TICK) - 1
-        ticks = slice(max(round(start / TICK) - before, 0), None if end is None else max(round(end / TICK) - before, 0))
-        return AxisTrace(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
+    The median is used because a single tick may deviate by a tenth of a count with an uneven encoder.
+    """
+    counts = recording["theta"] / COUNT
+    slow = np.abs(recording["omega"]) < SLOW
+    slow[0] = True
+    return np.asarray(counts - np.round(np.median((counts - recording["position"])[slow]) - 0.5) - 0.5)
 
 
 _level: Final[ContextVar[Level | None]] = ContextVar("level", default=None)
@@ -149,8 +125,12 @@ def record(
     act: Callable[[int], None] | None = None,
     *,
     may_fail: bool = False,
-) -> dict[int, AxisTrace]:
+) -> dict[int, Trace]:
     """Run in slow ticks and record signals of the firmware and true values.
+
+    Columns of the trace of an axis: ``position`` and ``position_ref`` [counts]; speeds, currents and voltages of the
+    firmware [SI]; `WORDS`; the true values ``theta`` [rad], ``omega`` [rad/s], ``i_q_true`` [A], ``torque`` of the air
+    gap [N m] and ``u_dc`` [V].
 
     Parameters
     ----------
@@ -205,17 +185,13 @@ def _refuse_faults(board: Board, log: NDArray[np.void]) -> None:
 
 def _recording(
     board: Board, log: NDArray[np.void], axis: int, truths: list[tuple[float, float, float, float, float]]
-) -> AxisTrace:
+) -> Trace:
     name, si = axis_name(axis), board.si(log)
-    columns: dict[str, Any] = {"time": TICK * np.arange(1, log.size + 1, dtype=np.float64)}
-    for signal in ("position", "position_ref"):
-        columns[signal] = log[f"{name}.{signal}"].astype(np.float64)
-    for signal in ("speed_ref", "speed", "i_q_ref", "i_q", "i_d", "u_d", "u_q"):
-        columns[signal] = si[f"{name}.{signal}"]
-    for signal in ("limits", "faults", "state", "substate"):
-        columns[signal] = log[f"{name}.{signal}"].astype(np.int64)
+    columns = {signal: log[f"{name}.{signal}"].astype(np.float64) for signal in _COUNTED}
+    columns |= {signal: si[f"{name}.{signal}"] for signal in _SIGNALS}
+    columns |= {signal: log[f"{name}.{signal}"].astype(np.int64) for signal in WORDS}
     true = ("theta", "omega", "i_q_true", "torque", "u_dc")
-    return AxisTrace(**columns, **dict(zip(true, np.array(truths).T, strict=True)))
+    return Trace(TICK, columns | dict(zip(true, np.array(truths).T, strict=True)), first=1)
 
 
 def set_axis(board: Board, name: str, axis: int, value: float) -> None:
@@ -342,7 +318,7 @@ def command_speed(board: Board, axis: int, speed: float) -> None:
     set_axis(board, "cmd.speed", axis, speed)
 
 
-def settled_from(recording: AxisTrace, signal: NDArray[np.float64], low: float, high: float) -> float | None:
+def settled_from(recording: Trace, signal: NDArray[np.float64], low: float, high: float) -> float | None:
     """Time from which a signal stays within low .. high [s]; None: it does not."""
     outside = np.nonzero((signal < low) | (signal > high))[0]
     if outside.size == 0:
@@ -351,13 +327,13 @@ def settled_from(recording: AxisTrace, signal: NDArray[np.float64], low: float, 
     return float(recording.time[last]) if last + 1 < recording.time.size else None
 
 
-def settling_time(recording: AxisTrace, target: float, within: float, since: float) -> float | None:
+def settling_time(recording: Trace, target: float, within: float, since: float) -> float | None:
     """Settling time from `since` until the position stays within `within` counts of a target [s]; None: it does not."""
-    time = settled_from(recording, recording.position, target - within, target + within)
+    time = settled_from(recording, recording["position"], target - within, target + within)
     return None if time is None else max(time - since, 0.0)
 
 
-def overshoot(recording: AxisTrace, target: float) -> float:
+def overshoot(recording: Trace, target: float) -> float:
     """Largest overshoot of a move that starts with the recording [counts]."""
-    direction = 1.0 if target >= recording.position[0] else -1.0
-    return max(float((direction * (recording.position - target)).max()), 0.0) + 0.0
+    direction = 1.0 if target >= recording["position"][0] else -1.0
+    return max(float((direction * (recording["position"] - target)).max()), 0.0) + 0.0

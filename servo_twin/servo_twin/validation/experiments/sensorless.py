@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -21,31 +21,9 @@ START_MAX: Final = 3.0  # timeout of a start-up [s]
 POLL: Final = 0.01  # polling interval of the state [s]
 
 
-@dataclass(frozen=True)
-class Trace:
-    """One axis over time, one entry per slow tick."""
-
-    time: NDArray[np.float64]  # since the start [s]
-    theta_e: NDArray[np.float64]  # true electrical angle [rad]
-    omega: NDArray[np.float64]  # true mechanical speed [rad/s]
-    i_d: NDArray[np.float64]  # true current [A]
-    i_q: NDArray[np.float64]  # true current [A]
-    angle: NDArray[np.float64]  # electrical angle of the observer [rad]
-    speed: NDArray[np.float64]  # mechanical speed of the observer [rad/s]
-    used: NDArray[np.float64]  # electrical angle of the controllers [rad]
-    speed_ref: NDArray[np.float64]  # [rad/s]
-    substate: NDArray[np.int64]  # word of the firmware
-    faults: NDArray[np.int64]  # word of the firmware
-
-    def part(self, start: float, end: float | None = None) -> Trace:
-        """Ticks after `start` and up to `end` [s]."""
-        ticks = slice(round(start / TICK), None if end is None else round(end / TICK))
-        return Trace(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
-
-    @property
-    def error(self) -> NDArray[np.float64]:
-        """Observed minus true angle, electrical [deg]. The true value is sampled half a period or one period later."""
-        return degrees(self.angle - self.theta_e)
+def angle_error(trace: Trace) -> NDArray[np.float64]:
+    """Observed minus true angle, electrical [deg]. The true value is sampled half a period or one period later."""
+    return degrees(trace["angle"] - trace["theta_e"])
 
 
 def back_emf(motor: AxisPlant, speed: float) -> float:
@@ -143,6 +121,10 @@ def follow(
 ) -> dict[int, Trace]:
     """Run in slow ticks and record observer and true values.
 
+    Columns of the trace of an axis: the true values ``theta_e`` (electrical angle) [rad], ``omega`` (mechanical)
+    [rad/s], ``i_d`` and ``i_q`` [A]; of the observer ``angle`` (electrical) [rad] and ``speed`` (mechanical) [rad/s];
+    ``used``, the electrical angle of the controllers [rad]; ``speed_ref`` [rad/s]; the words ``substate``, ``faults``.
+
     Parameters
     ----------
     board : Board
@@ -175,13 +157,13 @@ def follow(
 
 def _trace(board: Board, log: NDArray[np.void], axis: int, samples: NDArray[np.float64]) -> Trace:
     name = axis_name(axis)
-    columns: dict[str, Any] = dict(zip(list(Trace.__dataclass_fields__)[1:7], samples, strict=True))
+    columns: dict[str, Any] = dict(zip(("theta_e", "omega", "i_d", "i_q", "angle", "speed"), samples, strict=True))
     for column, variable in (("angle", "estimate_theta_e"), ("speed", "estimate_speed")):
         columns[column] = columns[column] * float(board.catalogue[f"{name}.{variable}"].lsb)
     for column, variable in (("used", "theta_e"), ("speed_ref", "speed_ref")):
         columns[column] = log[f"{name}.{variable}"] * float(board.catalogue[f"{name}.{variable}"].lsb)
     columns |= {flags: log[f"{name}.{flags}"].astype(np.int64) for flags in ("substate", "faults")}
-    return Trace(time=TICK * np.arange(1, log.size + 1, dtype=np.float64), **columns)
+    return Trace(TICK, columns, first=1)
 
 
 def limits_of(board: Board, axis: int) -> tuple[float, float]:

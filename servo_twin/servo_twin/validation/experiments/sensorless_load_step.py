@@ -9,13 +9,14 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import current_limits
 from servo_twin.validation.experiments.rig import RPM, command_speed
-from servo_twin.validation.experiments.sensorless import Trace, ended, follow, limits_of, remove_load_if_ended, started
+from servo_twin.validation.experiments.sensorless import ended, follow, limits_of, remove_load_if_ended, started
 
 NAME: Final = "sensorless-load-step"
 HELP: Final = """\
@@ -72,7 +73,7 @@ def largest_step(plant: PlantConfig, seed: int, axis: int, part: float, steps: S
             trace, end = _loaded(board, axis, torque, speed)
             if end:
                 return replace(best, end=end)
-            best = Tolerated(speed, torque, speed - float(trace.omega.min()), trace)
+            best = Tolerated(speed, torque, speed - float(trace["omega"].min()), trace)
         return best
 
 
@@ -88,7 +89,7 @@ def _loaded(board: Board, axis: int, torque: float, speed: float) -> tuple[Trace
 
 
 def _slow(trace: Trace, speed: float) -> str:
-    mean = float(trace.part(0.7 * LOADED).omega.mean())
+    mean = float(trace.part(0.7 * LOADED)["omega"].mean())
     return f"a mean of {mean / RPM:.3g} rpm" if abs(mean / speed - 1.0) > ERROR_MAX else ""
 
 
@@ -118,6 +119,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield Panel(f"{name}: largest load step", "speed [rpm]", "torque [mN m]", curves, log_x=True)
         slow, trace = found[0], found[0].trace
         if trace is not None:
-            curves = Curve("true", trace.time, trace.omega / RPM), Curve("observed", trace.time, trace.speed / RPM)
+            curves = (
+                Curve("true", trace.time, trace["omega"] / RPM),
+                Curve("observed", trace.time, trace["speed"] / RPM),
+            )
             title = f"{name}: {1e3 * slow.torque:.0f} mN m at {slow.speed / RPM:.0f} rpm"
             yield Panel(title, "time [s]", "speed [rpm]", curves)

@@ -10,12 +10,13 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.rig import RPM, TICK, command_speed, level, word
-from servo_twin.validation.experiments.sensorless import Trace, fault_names, follow, limits_of, started, without_fault
+from servo_twin.validation.experiments.sensorless import fault_names, follow, limits_of, started, without_fault
 
 NAME: Final = "stall"
 HELP: Final = """\
@@ -77,7 +78,7 @@ class Stall:
 
 def variance_detection_time(trace: Trace, since: float) -> float | None:
     """Detection time of the variance criterion: `HYSTERESIS` consecutive failed tests after a stall [s]."""
-    speed = trace.speed
+    speed = trace["speed"]
     sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (speed, speed**2))
     mean = (sums[SIZE:] - sums[:-SIZE]) / SIZE
     variance = (squares[SIZE:] - squares[:-SIZE]) / SIZE - mean**2
@@ -121,7 +122,7 @@ def _blocked(
             return k > blocked and word(board, axis, "faults") != 0
 
         trace = follow(board, [axis], BEFORE + OBSERVED, act)[axis]
-        return trace, fault_names(board, int(trace.faults[-1]))
+        return trace, fault_names(board, int(trace["faults"][-1]))
 
 
 def _spring(board: Board, axis: int, frequency: float) -> Callable[[float], None]:
@@ -235,7 +236,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         curves: list[Curve] = []
         for label, trace in shown.items():
             late = trace.time > BEFORE - 0.05
-            curves.append(Curve(f"observed, {label}", 1e3 * (trace.time[late] - BEFORE), trace.speed[late] / RPM))
+            curves.append(Curve(f"observed, {label}", 1e3 * (trace.time[late] - BEFORE), trace["speed"][late] / RPM))
         yield Panel(f"{name}: observed speed until the outputs are off", "time [ms]", "speed [rpm]", curves)
     long = operate(plant, seed, LONG if level() == "ideal" else LONG_REGISTERS)
     yield Judge("", NOT_SHOWN)("false alarms of both axes, random operation", len(long.false), maximum=0.0)

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
@@ -17,7 +18,7 @@ from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import move_speeds, path_settles, ripple
-from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, TICK, shaft_counts
 
 NAME: Final = "soft-limits"
 HELP: Final = """\
@@ -87,18 +88,18 @@ class Run:
     """Run of one axis into a limit."""
 
     limit: int  # position limit [counts]
-    out: AxisTrace
+    out: Trace
     reported: float  # fraction of the time in which axisN.limits reported the limit
-    back: AxisTrace | None = None  # motion away from the limit
+    back: Trace | None = None  # motion away from the limit
 
     @property
     def beyond(self) -> float:
         """Largest overtravel of the true position [counts]; negative: limit not reached."""
-        return float((self.out.shaft - self.limit).max())
+        return float((shaft_counts(self.out) - self.limit).max())
 
 
-def _reported(recording: AxisTrace, mask: int, seconds: float = FLAG_LAST) -> float:
-    words = recording.limits[-round(seconds / TICK) :]
+def _reported(recording: Trace, mask: int, seconds: float = FLAG_LAST) -> float:
+    words = recording["limits"][-round(seconds / TICK) :]
     return float(np.mean((words & mask) != 0))
 
 
@@ -131,10 +132,10 @@ def load_overtravel(plant: PlantConfig, seed: int, limited: bool) -> list[float]
             rig.set_up(board, axis, "TORQUE", parameters=parameters, POSITION_LIMITS=limited)
             board.set_load(axis, -LOAD * plant.axes[axis].torque_constant)  # a load opposes positive motion
         both = rig.record(board, range(AXES), LOAD_TIME)
-    return [float((both[axis].shaft - limit).max()) for axis, limit in enumerate(limits)]
+    return [float((shaft_counts(both[axis]) - limit).max()) for axis, limit in enumerate(limits)]
 
 
-def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, AxisTrace]]:
+def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Trace]]:
     """Set the upper limit below the present position of both shafts; then a target beyond it, and one inside."""
     settle = max(path_settles(plant, seed, SETTLE))
     with rig.spinning(plant, seed) as board:
@@ -197,16 +198,18 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield judge("overtravel with the feature", limited_overtravel, "counts", maximum=BEYOND_UNHELD_MAX)
     alone, farther, nearer = set_behind(plant, seed)
     for axis, name in enumerate(names):
-        judge, back = Judge(f"{name}, limit set behind the shaft"), nearer[axis].shaft
+        judge, back = Judge(f"{name}, limit set behind the shaft"), shaft_counts(nearer[axis])
         moved, off = 2.0 * BEHIND * COUNTS_PER_TURN, BEYOND_MAX + 1.0
-        yield judge(": motion", np.ptp(alone[axis].shaft), "counts", maximum=BEYOND_MAX)
-        yield judge(", target further outside: motion", np.ptp(farther[axis].shaft), "counts", maximum=BEYOND_MAX)
+        yield judge(": motion", np.ptp(shaft_counts(alone[axis])), "counts", maximum=BEYOND_MAX)
+        yield judge(
+            ", target further outside: motion", np.ptp(shaft_counts(farther[axis])), "counts", maximum=BEYOND_MAX
+        )
         yield judge.near(", target inside: motion", back[0] - back[-1], "counts", moved, off)
     for mode in ("SPEED", "TORQUE"):
         free, limited = (run_to_speed_limit(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
         for name, *pair in zip(names, free, limited, strict=True):
             maximum, minimum = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
-            without, with_it = (float(np.abs(one_run.out.omega).max()) for one_run in pair)
+            without, with_it = (float(np.abs(one_run.out["omega"]).max()) for one_run in pair)
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
             yield judge("highest speed without the limit", without, "rad/s", minimum)
             yield judge("highest speed with the limit", with_it, "rad/s", maximum=maximum)
@@ -214,7 +217,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     free, limited = (run_to_current_limit(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
-        without, with_it = (float(np.abs(one_run.out.i_q_true).max()) for one_run in pair)
+        without, with_it = (float(np.abs(one_run.out["i_q_true"]).max()) for one_run in pair)
         maximum = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
         yield judge("largest current without the limit", without, "A", 1.5 * CURRENT_LIMIT)
         yield judge("largest current with the limit", with_it, "A", maximum=maximum)
@@ -223,18 +226,18 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 def _rows_visit(judge: Judge, maximum: float, free: Run, limited: Run) -> Iterator[Row]:
     assert limited.back is not None
-    last = limited.out.shaft[-1]
+    last = shaft_counts(limited.out)[-1]
     yield judge("overtravel without the feature", free.beyond, "counts", PASSES_MIN)
     yield judge("overtravel with the feature", limited.beyond, "counts", maximum=maximum, apart=maximum + NEAR_MAX)
     yield judge("distance to the limit at standstill", limited.limit - last, "counts", -maximum, NEAR_MAX)
     yield judge("limit flag set", limited.reported, "of the time", 1.0, 1.0)
-    yield judge("return motion after reversal", last - limited.back.shaft[-1], "counts", BACK_MIN)
+    yield judge("return motion after reversal", last - shaft_counts(limited.back)[-1], "counts", BACK_MIN)
 
 
 def _panel(title: str, free: list[Run], limited: list[Run]) -> Panel:
     curves: list[Curve] = []
     for axis, (label, runs) in itertools.product(range(AXES), (("without", free), ("with", limited))):
-        time, beyond = runs[axis].out.time, runs[axis].out.shaft - runs[axis].limit
+        time, beyond = runs[axis].out.time, shaft_counts(runs[axis].out) - runs[axis].limit
         shown = beyond < 1.5 * COUNTS_PER_TURN
         curves.append(Curve(f"{axis_name(axis)} {label}", time[shown], beyond[shown] / COUNTS_PER_TURN))
     return Panel(title, "time [s]", "beyond the limit [turns]", curves)

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
@@ -16,7 +17,7 @@ from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.dead_time_torque import displacement, displacement_counts
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import NominalShaft, nominal_shafts
-from servo_twin.validation.experiments.rig import COUNT, RPM, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import COUNT, RPM, TICK
 
 NAME: Final = "speed-observer"
 HELP: Final = """\
@@ -51,14 +52,14 @@ MEAN_MAX: Final = 1.0
 BETTER: Final = 1.0
 
 
-Pair = tuple[AxisTrace, AxisTrace]
+Pair = tuple[Trace, Trace]
 """The same run with the M/T method and with the observer."""
 
 
-def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], AxisTrace]) -> Pair:
+def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Trace]) -> Pair:
     """Run `play` on a new board without, and on another one with the observer."""
 
-    def once(observer: bool) -> AxisTrace:
+    def once(observer: bool) -> Trace:
         with rig.spinning(plant, seed) as board:
             rig.features(board, axis, SPEED_OBSERVER=observer)
             return play(board)
@@ -69,7 +70,7 @@ def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], AxisT
 def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
     """A constant speed [rad/s], once it has settled."""
 
-    def play(board: Board) -> AxisTrace:
+    def play(board: Board) -> Trace:
         rig.set_up(board, axis, "SPEED", speed)
         return rig.record(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
@@ -86,7 +87,7 @@ def shaft(
 def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
     """A move with feed-forward, and the hold after it."""
 
-    def play(board: Board) -> AxisTrace:
+    def play(board: Board) -> Trace:
         rig.features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
         rig.command_position(board, axis, rig.position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
         return rig.record(board, [axis], ARRIVED + HELD)[axis]
@@ -97,19 +98,19 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
 def push(plant: PlantConfig, seed: int, axis: int) -> Pair:
     """A load step at standstill, within what the motor can hold."""
 
-    def play(board: Board) -> AxisTrace:
+    def play(board: Board) -> Trace:
         board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
         return rig.record(board, [axis], HELD)[axis]
 
     return both(plant, seed, axis, play)
 
 
-def rms(recording: AxisTrace, speed: float) -> float:
+def rms(recording: Trace, speed: float) -> float:
     """RMS deviation of the true speed [rad/s]."""
-    return float(np.sqrt(np.mean((recording.omega - speed) ** 2)))
+    return float(np.sqrt(np.mean((recording["omega"] - speed) ** 2)))
 
 
-def ratio_uncertainty(without: AxisTrace, plant: PlantConfig, axis: int, speed: float) -> float:
+def ratio_uncertainty(without: Trace, plant: PlantConfig, axis: int, speed: float) -> float:
     """Statistical uncertainty of the ratio of two RMS deviations.
 
     The dead zone of the inverter disturbs both runs. Its part of the deviation is a random sample with one value per
@@ -122,14 +123,14 @@ def ratio_uncertainty(without: AxisTrace, plant: PlantConfig, axis: int, speed: 
     return share / math.sqrt(edges)
 
 
-def following(recording: AxisTrace) -> float:
+def following(recording: Trace) -> float:
     """Largest following error against the shaped set-point [counts]."""
-    return float(np.abs(recording.position_ref - recording.position).max())
+    return float(np.abs(recording["position_ref"] - recording["position"]).max())
 
 
-def held(recording: AxisTrace) -> float:
+def held(recording: Trace) -> float:
     """Peak-to-peak true motion in position hold [counts]."""
-    return float(np.ptp(recording.part(ARRIVED).theta)) / COUNT
+    return float(np.ptp(recording.part(ARRIVED)["theta"])) / COUNT
 
 
 @experiment(NAME)
@@ -140,7 +141,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for rpm in SPEEDS:
             speed, judge = rpm * RPM, Judge(f"{name} at {rpm:g} rpm, ")
             without, observed = creep(nominal_plant, seed, axis, speed)
-            error = 100.0 * abs(float(observed.omega.mean()) / speed - 1.0)
+            error = 100.0 * abs(float(observed["omega"].mean()) / speed - 1.0)
             better = BETTER + ratio_uncertainty(without, nominal_plant, axis, speed)
             yield judge("error of the mean true speed", error, "%", maximum=MEAN_MAX)
             yield judge("deviation with / without observer", rms(observed, speed) / rms(without, speed), maximum=better)
@@ -164,7 +165,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 def _costs(plant: PlantConfig, seed: int, axis: int, moved: Pair) -> Iterator[str]:
     name = axis_name(axis)
-    angles = [float(np.degrees(np.abs(r.theta - r.theta[0]).max())) for r in push(plant, seed, axis)]
+    angles = [float(np.degrees(np.abs(r["theta"] - r["theta"][0]).max())) for r in push(plant, seed, axis)]
     rough = [rms(r, COST_SPEED * RPM) / RPM for r in creep(plant, seed, axis, COST_SPEED * RPM)]
     errors = [following(r) for r in moved]
     yield f"{name}: following error {errors[0]:.0f} counts without, {errors[1]:.0f} with it"
@@ -172,16 +173,16 @@ def _costs(plant: PlantConfig, seed: int, axis: int, moved: Pair) -> Iterator[st
     yield f"{name} at {COST_SPEED:g} rpm: deviation {rough[0]:.2g} rpm without, {rough[1]:.2g} rpm with it"
 
 
-def _creep_panel(title: str, without: AxisTrace, observed: AxisTrace, rpm: float) -> Panel:
+def _creep_panel(title: str, without: Trace, observed: Trace, rpm: float) -> Panel:
     parts = {"M/T": without.part(SETTLE, SETTLE + 1.0), "observer": observed.part(SETTLE, SETTLE + 1.0)}
-    curves = [Curve(label, r.time, r.omega / RPM) for label, r in parts.items()]
+    curves = [Curve(label, r.time, r["omega"] / RPM) for label, r in parts.items()]
     time = curves[0].x
     curves.append(Curve("set-point", time, np.full(time.size, rpm), "k--"))
     return Panel(f"{title}: true speed", "time [s]", "speed [rpm]", curves)
 
 
-def _move_panel(name: str, without: AxisTrace, observed: AxisTrace) -> Panel:
+def _move_panel(name: str, without: Trace, observed: Trace) -> Panel:
     parts = {"M/T": without.part(0.0, 0.4), "observer": observed.part(0.0, 0.4)}
-    curves = [Curve(label, r.time, r.position_ref - r.position) for label, r in parts.items()]
+    curves = [Curve(label, r.time, r["position_ref"] - r["position"]) for label, r in parts.items()]
     title = f"{name}, {MOVE:g} turn with feed-forward: shaped set-point - position"
     return Panel(title, "time [s]", "difference [counts]", curves)

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -21,7 +22,14 @@ from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner, run_in_order
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Outcome, Panel, experiment
 from servo_twin.validation.experiments.rig import RPM, TICK, at_level, command_speed, level, word
-from servo_twin.validation.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
+from servo_twin.validation.experiments.sensorless import (
+    angle_error,
+    fault_names,
+    follow,
+    limits_of,
+    observing,
+    substate,
+)
 
 NAME: Final = "start-up"
 HELP: Final = """\
@@ -127,14 +135,14 @@ def draws(seed: int, boards: int) -> list[tuple[Draw, ...]]:
 
 def examine(trace: Trace, startup: int, spin: int) -> Start:
     """Evaluate the start-up in a trace."""
-    started = np.nonzero(trace.substate == startup)[0]
-    done = np.nonzero(trace.substate == spin)[0]
+    started = np.nonzero(trace["substate"] == startup)[0]
+    done = np.nonzero(trace["substate"] == spin)[0]
     if started.size == 0:
         return Start(None, None, "no start-up")
     if done.size == 0:
         return Start(None, None, "no closed loop")
     criterion = float(done[0] - started[0]) * TICK
-    wrong = np.nonzero(np.abs(trace.error[started[0] :]) > CONVERGED)[0]
+    wrong = np.nonzero(np.abs(angle_error(trace)[started[0] :]) > CONVERGED)[0]
     converged = None
     if wrong.size == 0:
         converged = 0.0
@@ -197,10 +205,10 @@ class _FanLoads:
 
 def _judged(board: Board, trace: Trace, found: Start, speed: float, what: str) -> Start:
     """A start with the reason of a failure."""
-    if trace.faults.any():
-        first = int(trace.faults[int(np.argmax(trace.faults != 0))])
+    if trace["faults"].any():
+        first = int(trace["faults"][int(np.argmax(trace["faults"] != 0))])
         return replace(found, end=fault_names(board, first), what=what)
-    mean = float(trace.omega[-round(0.05 / TICK) :].mean())
+    mean = float(trace["omega"][-round(0.05 / TICK) :].mean())
     slow = f"{mean / RPM:.0f} rpm instead of {speed / RPM:.0f}" if abs(mean / speed - 1.0) > SPEED_MAX else ""
     return replace(found, end=found.end or slow or ("a wrong angle" if found.converged is None else ""), what=what)
 
@@ -239,9 +247,9 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
             )
         time = 1e3 * trace.time
         waveforms = (
-            Curve("error of the angle [deg]", time, trace.error),
-            Curve("true speed [rpm]", time, trace.omega / RPM),
-            Curve("observed speed [rpm]", time, trace.speed / RPM),
+            Curve("error of the angle [deg]", time, angle_error(trace)),
+            Curve("true speed [rpm]", time, trace["omega"] / RPM),
+            Curve("observed speed [rpm]", time, trace["speed"] / RPM),
         )
         yield Panel(f"{axis_name(axis)}: start-up", "time [ms]", "", waveforms)
     starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_REGISTERS), runner)

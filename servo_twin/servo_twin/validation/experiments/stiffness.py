@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import COUNT, TICK, AxisTrace, at, record, set_axis, settling_time, spinning
+from servo_twin.validation.experiments.rig import COUNT, TICK, at, record, set_axis, settling_time, spinning
 
 NAME: Final = "stiffness"
 HELP: Final = """\
@@ -33,7 +34,7 @@ def deflection_min(axis: AxisPlant) -> float:
     return 0.5 * free / axis.inertia * TICK**2
 
 
-def load_step(plant: PlantConfig, seed: int, axis: int) -> AxisTrace:
+def load_step(plant: PlantConfig, seed: int, axis: int) -> Trace:
     """Apply and remove the nominal torque."""
     torque = NOMINAL * plant.axes[axis].torque_constant
     with spinning(plant, seed) as board:
@@ -49,17 +50,21 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis, r in enumerate(found):
         yield from _rows(Judge(f"{axis_name(axis)}, ", NOT_SHOWN), plant.axes[axis], r)
     title = "load step of nominal torque"
-    deflection = [Curve(axis_name(axis), r.time, np.degrees(r.theta - r.theta[0])) for axis, r in enumerate(found)]
+    deflection = [
+        Curve(axis_name(axis), r.time, np.degrees(r["theta"] - r["theta"][0])) for axis, r in enumerate(found)
+    ]
     yield Panel(title, "time [s]", "deflection [degrees]", deflection)
-    yield Panel(title, "time [s]", "i_q [A]", [Curve(axis_name(axis), r.time, r.i_q) for axis, r in enumerate(found)])
+    yield Panel(
+        title, "time [s]", "i_q [A]", [Curve(axis_name(axis), r.time, r["i_q"]) for axis, r in enumerate(found)]
+    )
     yield f"load: the torque of {NOMINAL:g} A, limit {LIMIT:g} A; stiffness: torque over the largest deflection"
 
 
-def _rows(judge: Judge, motor: AxisPlant, r: AxisTrace) -> Iterator[Row]:
-    loaded, after, target = r.part(LEAD, LEAD + LOADED), r.part(LEAD + LOADED), float(r.position_ref[0])
-    deflection = float(np.abs(loaded.theta - r.part(0.0, LEAD).theta[-1]).max())
+def _rows(judge: Judge, motor: AxisPlant, r: Trace) -> Iterator[Row]:
+    loaded, after, target = r.part(LEAD, LEAD + LOADED), r.part(LEAD + LOADED), float(r["position_ref"][0])
+    deflection = float(np.abs(loaded["theta"] - r.part(0.0, LEAD)["theta"][-1]).max())
     torque = NOMINAL * motor.torque_constant
-    error = np.abs(loaded.position[-200:] - target).mean()
+    error = np.abs(loaded["position"][-200:] - target).mean()
     bounds = float(np.degrees(deflection_min(motor))), float(np.degrees(DEFLECTION_MAX))
     yield judge("deflection", np.degrees(deflection), "deg", *bounds)
     yield judge("stiffness", torque / max(deflection, COUNT), "N m/rad", torque / DEFLECTION_MAX)
@@ -68,4 +73,4 @@ def _rows(judge: Judge, motor: AxisPlant, r: AxisTrace) -> Iterator[Row]:
         "recovery time after the load", settling_time(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MAX
     )
     yield judge("steady-state error under load", error, "counts", maximum=ARRIVED)
-    yield judge("largest i_q*", np.abs(r.i_q_ref).max(), "A", NOMINAL, LIMIT + 1e-3, reference="4 A limit")
+    yield judge("largest i_q*", np.abs(r["i_q_ref"]).max(), "A", NOMINAL, LIMIT + 1e-3, reference="4 A limit")

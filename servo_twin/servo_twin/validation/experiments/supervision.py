@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
@@ -16,7 +17,7 @@ from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.validation.experiments.rig import TICK, AxisTrace
+from servo_twin.validation.experiments.rig import TICK
 
 NAME: Final = "supervision"
 HELP: Final = """\
@@ -62,18 +63,18 @@ class Response:
     time: float | None  # from the cause to outputs off [s]
     fault: int  # faults at this time
     turned: float  # motion of the shaft from the cause to outputs off, or to the end [turns]
-    recording: AxisTrace
+    recording: Trace
 
     @classmethod
-    def of(cls, recording: AxisTrace, cause: float) -> Response:
+    def of(cls, recording: Trace, cause: float) -> Response:
         """Evaluate a recording; `cause` in seconds."""
         run = Catalogue.load().enums["state_t"]["RUN"]
-        off = (recording.state != run) & (recording.time > cause)
+        off = (recording["state"] != run) & (recording.time > cause)
         first = int(np.argmax(off)) if off.any() else recording.time.size - 1
         begin = int(np.argmax(recording.time >= cause))
         time = float(recording.time[first] - cause) if off.any() else None
-        turned = float(np.ptp(recording.theta[begin : first + 1])) / (2.0 * math.pi)
-        return cls(time, int(recording.faults[first]), turned, recording)
+        turned = float(np.ptp(recording["theta"][begin : first + 1])) / (2.0 * math.pi)
+        return cls(time, int(recording["faults"][first]), turned, recording)
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ Action = Callable[[Bench, Board, int], None]
 
 def play(
     bench: Bench, on: bool, prepare: Action, act: Callable[[Board, int], None], seconds: float
-) -> dict[int, AxisTrace]:
+) -> dict[int, Trace]:
     """Run both axes with the features on or off; `act` is called with the number of each slow tick."""
     with rig.spinning(bench.plant, bench.seed) as board:
         for axis in range(AXES):
@@ -164,10 +165,10 @@ class Cause:
         both = play(bench, on, self.prepare, act, CAUSE + OBSERVED)
         return [Response.of(r, self._since(bench, axis, r)) for axis, r in both.items()]
 
-    def _since(self, bench: Bench, axis: int, r: AxisTrace) -> float:
+    def _since(self, bench: Bench, axis: int, r: Trace) -> float:
         if self.fault != "OVER_SPEED":
             return CAUSE
-        beyond = np.abs(r.omega) > OVER_SPEED * SPEED * bench.speeds[axis]
+        beyond = np.abs(r["omega"]) > OVER_SPEED * SPEED * bench.speeds[axis]
         return float(r.time[int(np.argmax(beyond))] if beyond.any() else r.time[-1])
 
 
@@ -217,7 +218,7 @@ def permitted_operation(bench: Bench, forward: bool) -> int:
     distance = sum(map(abs, REVERSING_MOVES)) * 2.0 * math.pi
     for act, seconds in ((move, distance / min(bench.speeds) + REST), (load, 4.0 * REST)):
         both = play(bench, True, begin, act, seconds)
-        faults |= int(np.bitwise_or.reduce([np.bitwise_or.reduce(r.faults) for r in both.values()]))
+        faults |= int(np.bitwise_or.reduce([np.bitwise_or.reduce(r["faults"]) for r in both.values()]))
     return faults
 
 
@@ -258,6 +259,6 @@ def _description(event: Response, masks: Mapping[str, int]) -> str:
 
 def _until_off(label: str, event: Response) -> Curve:
     r = event.recording
-    end = r.time[-1] if not r.faults.any() else r.time[int(np.argmax(r.faults != 0))]
+    end = r.time[-1] if not r["faults"].any() else r.time[int(np.argmax(r["faults"] != 0))]
     shown = (r.time > CAUSE - 0.05) & (r.time <= end)
-    return Curve(label, r.time[shown], r.omega[shown])
+    return Curve(label, r.time[shown], r["omega"][shown])

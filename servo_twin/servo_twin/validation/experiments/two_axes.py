@@ -9,13 +9,14 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import current_limits, over_voltage, top_speed
-from servo_twin.validation.experiments.rig import RPM, TICK, AxisTrace
+from servo_twin.validation.experiments.rig import RPM, TICK
 
 NAME: Final = "two-axes"
 HELP: Final = """\
@@ -42,7 +43,7 @@ DEVIATION_MAX: Final = 1.0  # permitted increase of the deviation [% of the set-
 UNDER_VOLTAGE: Final = 16.0  # [V]
 
 
-Pair = tuple[AxisTrace, AxisTrace]
+Pair = tuple[Trace, Trace]
 """Recordings of the observed and of the disturbing axis."""
 
 
@@ -97,13 +98,13 @@ def turn(plant: PlantConfig, seed: int, observed: int, reversals: Reversals | No
     return both[observed], both[other]
 
 
-def hold(plant: PlantConfig, seed: int, observed: int, reversals: Reversals) -> AxisTrace:
+def hold(plant: PlantConfig, seed: int, observed: int, reversals: Reversals) -> Trace:
     """The observed axis holds its position while the other axis reverses."""
     with rig.spinning(plant, seed) as board:
         return rig.record(board, [observed], MEASURED, reversals.prepare(board, 1 - observed))[observed]
 
 
-def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, AxisTrace]:
+def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, Trace]:
     """Both axes at a speed [rad/s], then set-point zero for both simultaneously."""
     accelerations = [acceleration_of(plant, seed, axis) for axis in range(AXES)]
     with rig.spinning(plant, seed) as board:
@@ -119,9 +120,9 @@ def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, AxisTrace]:
         return rig.record(board, range(AXES), BRAKE_TIME, rig.at({0.0: stop}), may_fail=True)
 
 
-def deviation(recording: AxisTrace) -> float:
+def deviation(recording: Trace) -> float:
     """Largest deviation of the true speed from `CONSTANT` [rad/s]."""
-    return float(np.abs(recording.omega - CONSTANT).max())
+    return float(np.abs(recording["omega"] - CONSTANT).max())
 
 
 @experiment(NAME)
@@ -134,10 +135,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         together, other = turn(plant, seed, observed, reversals)
         without, _ = turn(plant, seed, observed, reversals, compensated=False)
         held = hold(plant, seed, observed, reversals)
-        position_deviation = np.abs(held.position - held.position_ref).max()
+        position_deviation = np.abs(held["position"] - held["position_ref"]).max()
         more = 100.0 * (deviation(together) - deviation(alone)) / CONSTANT
-        variation, minimum = np.ptp(together.u_dc), BUS_VARIATION_MIN * reversals.bus_rise(plant, 1 - observed)
-        reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
+        variation, minimum = np.ptp(together["u_dc"]), BUS_VARIATION_MIN * reversals.bus_rise(plant, 1 - observed)
+        reached, unfelt = np.ptp(other["omega"]) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
         yield judge(
             ", the other reverses: bus voltage variation", variation, "V", minimum, over_voltage() - UNDER_VOLTAGE
         )
@@ -158,20 +159,20 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             "without bus compensation"
         )
         curves = (
-            Curve("with the other axis", together.time, together.omega / RPM),
-            Curve("alone", alone.time, alone.omega / RPM),
-            Curve("bus [V] - 24 V, x 10, + 1500", together.time, 1500.0 + 10.0 * (together.u_dc - 24.0)),
+            Curve("with the other axis", together.time, together["omega"] / RPM),
+            Curve("alone", alone.time, alone["omega"] / RPM),
+            Curve("bus [V] - 24 V, x 10, + 1500", together.time, 1500.0 + 10.0 * (together["u_dc"] - 24.0)),
         )
         yield Panel(f"{name} at constant speed, the other axis reverses", "time [s]", "speed [rpm]", curves)
     speed = top_speed(plant, range(AXES), BRAKE_FROM)
     stop, judge = brake(plant, seed, speed), Judge("both brake: ", NOT_SHOWN)
-    limit, faults = "not shown; the drive's limit is 33 V", np.bitwise_or.reduce(stop[0].faults | stop[1].faults)
-    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", maximum=over_voltage(), reference=limit)
+    limit, faults = "not shown; the drive's limit is 33 V", np.bitwise_or.reduce(stop[0]["faults"] | stop[1]["faults"])
+    yield judge("highest bus voltage", stop[0]["u_dc"].max(), "V", maximum=over_voltage(), reference=limit)
     yield judge.none("faults", faults, reference="none")
     for axis, r in stop.items():
-        speed_left = np.abs(r.omega[-100:]).max() / RPM
+        speed_left = np.abs(r["omega"][-100:]).max() / RPM
         yield judge(f"{axis_name(axis)} at standstill: speed", speed_left, "rpm", maximum=STANDSTILL * speed / RPM)
     yield f"both brake from {speed / RPM:.4g} rpm"
-    speeds = [Curve(f"{axis_name(axis)} [100 rpm]", r.time, r.omega / RPM / 100.0) for axis, r in stop.items()]
-    bus = Curve("bus [V]", stop[0].time, stop[0].u_dc)
+    speeds = [Curve(f"{axis_name(axis)} [100 rpm]", r.time, r["omega"] / RPM / 100.0) for axis, r in stop.items()]
+    bus = Curve("bus [V]", stop[0].time, stop[0]["u_dc"])
     yield Panel("both axes brake simultaneously", "time [s]", "bus [V], speed [100 rpm]", [bus, *speeds])
