@@ -56,7 +56,7 @@ def test_enabled_axis_has_no_host_time_out(board: Board, access: SessionAccess) 
     names = ("tick", "axis1.i_q")
     with faults_refused(access, 0):
         recording = access.record(names, access.capacity(names), 2, slow=True)
-    assert np.all(np.diff(recording.columns["tick"]) == 16.0)
+    assert np.all(np.diff(recording["tick"]) == 16.0)
     assert recording.step == pytest.approx(1e-3)
     assert board.read("axis1.state") == board.catalogue.enums["state_t"]["RUN"]
     assert board.read("axis1.faults") == 0
@@ -68,11 +68,11 @@ def test_recording_starts_at_its_trigger(access: SessionAccess) -> None:
 
     names = ("tick", "axis1.event_state", "axis1.i_d")
     recording = access.record(names, 400, 1, slow=False, start=start, trigger="axis1.event_state")
-    assert recording.columns["axis1.event_state"][0] == 64.0
-    assert np.diff(recording.columns["tick"]).tolist() == [1.0] * 399
+    assert recording["axis1.event_state"][0] == 64.0
+    assert np.diff(recording["tick"]).tolist() == [1.0] * 399
     with pytest.raises(MeasurementError, match="has not started"):
         access.record(names, 400, 1, slow=False, trigger="axis2.event_mode")
-    assert access.record(["tick"], 10, 1, slow=True).columns["tick"].size == 10
+    assert access.record(["tick"], 10, 1, slow=True)["tick"].size == 10
     with pytest.raises(MeasurementError, match="axis3"):
         access.record(["axis3.i_q"], 10, 1, slow=False)
 
@@ -90,7 +90,7 @@ def test_recorder_starts_before_the_recorded_action(board: Board, access: Sessio
     for lead in (0.0, 0.5):
         asked = board.time_ns * 1e-9
         recording = access.record(names, 1280, 1, slow=True, start=start, trigger="axis1.event_state", lead=lead)
-        assert recording.columns["axis1.event_state"][0] > 0.0
-        assert np.diff(recording.columns["tick"]).tolist() == [8.0] * 1279
+        assert recording["axis1.event_state"][0] > 0.0
+        assert np.diff(recording["tick"]).tolist() == [8.0] * 1279
         waited.append(begun[-1] - asked)
     assert waited[0] - waited[1] == pytest.approx(0.5, abs=0.05)

@@ -11,15 +11,14 @@ from servo_measurement.access import (
     TRIGGER_TIMEOUT,
     BoardAccess,
     MeasurementError,
-    Recording,
     element_of,
     step_of,
 )
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.trace import Trace
 
 from servo_bridge.bursts.burst import Burst
-from servo_bridge.bursts.recording import Phase
-from servo_bridge.bursts.recording import Recording as BurstRecording
+from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
 from servo_bridge.tool_values import UnknownVariableError
@@ -94,7 +93,7 @@ class SessionAccess(BoardAccess):
         trigger: str | None = None,
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
-    ) -> Recording:
+    ) -> Trace:
         """Record with the recorder of the board; parameters as in `BoardAccess.record`."""
         condition = None if trigger is None else f"{trigger} >= 1"
         step = step_of(every, slow)
@@ -107,7 +106,7 @@ class SessionAccess(BoardAccess):
             samples,
             1.0 / step,
         )
-        recording = BurstRecording(request, self.catalogue, clock=self.clock)
+        recording = Recording(request, self.catalogue, clock=self.clock)
         try:
             burst = self._recorded(recording, start, samples * step, lead, meanwhile or (lambda _: None))
         except (RecorderError, UnknownVariableError, ValueError) as error:
@@ -115,11 +114,11 @@ class SessionAccess(BoardAccess):
         finally:
             recording.abandon()
         columns = {name: np.asarray(v, np.float64) for name, v in zip(names, burst.values, strict=True)}
-        return Recording(step, columns)
+        return Trace(step, columns)
 
     def _recorded(
         self,
-        recording: BurstRecording,
+        recording: Recording,
         start: Callable[[], None] | None,
         seconds: float,
         lead: float,

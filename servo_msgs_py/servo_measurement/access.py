@@ -8,13 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
 from servo_msgs_py.axis_config_transfer import AppliedBlocks, BlockMemory, send_block, take_blocks
 from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_tuning.errors import Remedy
 
@@ -44,20 +42,6 @@ class MeasurementError(RuntimeError):
         changes = ", or ".join(one.text() for one in remedies)
         super().__init__(f"{text}: {changes}" if changes else text)
         self.remedies = remedies
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Samples of several variables at the same instants."""
-
-    step: float  # time between two samples [s]
-    columns: Mapping[str, NDArray[np.float64]]  # SI values by name, each of shape (samples,)
-
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """Time since the first sample [s], shape (samples,)."""
-        size = next(iter(self.columns.values())).size
-        return self.step * np.arange(size, dtype=np.float64)
 
 
 class BoardAccess(BlockMemory, Protocol):
@@ -109,7 +93,7 @@ class BoardAccess(BlockMemory, Protocol):
         trigger: str | None = None,
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
-    ) -> Recording:
+    ) -> Trace:
         """Record several variables.
 
         Parameters

@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from typing import Final
 
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_measurement.access import (
     BoardAccess,
     MeasurementError,
-    Recording,
     faults_refused,
     refuse_faults,
 )
@@ -182,7 +182,7 @@ class AxisUnderTest:
         triggered: bool = True,
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] = lambda full: None,
-    ) -> Recording:
+    ) -> Trace:
         """Record variables of the axis, if `triggered` from the start of a test signal on; see `BoardAccess.record`.
 
         The set-point is rewritten during the recording; a fault is an error.

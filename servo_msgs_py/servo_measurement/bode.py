@@ -17,9 +17,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.trace import Trace
 from servo_tuning.configuration import Board as BoardValues
 
-from servo_measurement.access import BoardAccess, MeasurementError, Recording
+from servo_measurement.access import BoardAccess, MeasurementError
 from servo_measurement.bode_plan import (
     SWEEP_PART,
     Band,
@@ -166,7 +167,7 @@ def _unconfirmed(found: Figures) -> Figures:
     )
 
 
-def _estimated(access: BoardAccess, settings: Settings, band: Band, recordings: Sequence[Recording]) -> Response:
+def _estimated(access: BoardAccess, settings: Settings, band: Band, recordings: Sequence[Trace]) -> Response:
     """Open loop in a band."""
     loop = settings.loop
     scale = full_scale(access, loop.point)
@@ -188,9 +189,9 @@ def _refuse_short_signal(settings: Settings, signals: NDArray[np.float64]) -> No
             )
 
 
-def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recording: Recording) -> None:
+def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recording: Trace) -> None:
     """Raise an error if the voltage reaches its limit, where a current loop is nonlinear."""
-    d, q = (recording.columns[f"{axis_name(axis)}.{column}"] for column in _VOLTAGE)
+    d, q = (recording[f"{axis_name(axis)}.{column}"] for column in _VOLTAGE)
     word = int(access.read("param.features")[axis])
     limit = board.voltage_max
     if any(flag.name == "BUS_COMPENSATION" for flag in access.catalogue.active("features", word)):

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.trace import Trace
 
-from servo_measurement.access import BoardAccess, MeasurementError, Recording, step_of
+from servo_measurement.access import BoardAccess, MeasurementError, step_of
 from servo_measurement.prediction import Prediction, predict
 from servo_measurement.test_signal import SweptSine, refuse_test_signal
 
@@ -45,11 +46,11 @@ class Loop:
     columns: tuple[str, ...]  # recorded variables of the axis in addition to the test signal
     unit: str  # of the test signal
 
-    def signals(self, axis: int, recording: Recording, scale: float) -> tuple[NDArray[np.float64], ...]:
+    def signals(self, axis: int, recording: Trace, scale: float) -> tuple[NDArray[np.float64], ...]:
         """Test signal, and input and output of the open loop, each (samples,), in `unit`; `scale`: full scale."""
         name = axis_name(axis)
-        first, *others = (recording.columns[f"{name}.{column}"] for column in self.columns)
-        signal = scale * recording.columns[f"{name}.test_signal"]
+        first, *others = (recording[f"{name}.{column}"] for column in self.columns)
+        signal = scale * recording[f"{name}.test_signal"]
         if self.slow:  # set-point = test signal - output of the open loop
             return signal, first, signal - first
         return signal, others[0] + signal - first, first

@@ -8,9 +8,10 @@ from contextlib import contextmanager
 from typing import Final
 
 from servo_msgs_py.timed_points import POINTS_MEASURING, TimedPoint, encode_points
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults
+from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME, AxisUnderTest
 from servo_measurement.bode_plan import BASE_PART, SETTLE, Band, Settings
 from servo_measurement.test_signal import end_test_signal, start_test_signal
@@ -88,7 +89,7 @@ class BodeRig(AxisUnderTest):
                 self.enable("TEST" if test_mode else "SPIN", _TEST_TIME if test_mode else _SEARCH_TIME)
             yield
 
-    def recorded(self, band: Band, speed: float, columns: Sequence[str] | None = None) -> Recording:
+    def recorded(self, band: Band, speed: float, columns: Sequence[str] | None = None) -> Trace:
         """Record one sweep, in motion or at standstill; the shaft rotates until the recorder memory is full.
 
         Parameters

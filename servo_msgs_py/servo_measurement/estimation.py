@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.trace import Trace
 
-from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.access import MeasurementError
 from servo_measurement.least_squares import mean_of
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_values import Estimate, MotorEstimates
@@ -40,8 +41,8 @@ def resistance_of(log: MeasurementLog) -> Ohmic:
     name = axis_name(log.axis)
     points = []
     for recording in log.labelled("level"):
-        i_d, _ = mean_of(recording.columns[f"{name}.i_d"])
-        u_d, error = mean_of(recording.columns[f"{name}.u_d"])
+        i_d, _ = mean_of(recording[f"{name}.i_d"])
+        u_d, error = mean_of(recording[f"{name}.u_d"])
         if math.isfinite(i_d) and math.isfinite(u_d):
             points.append((i_d, u_d, max(error, 1e-3)))
     if len(points) < 4:
@@ -76,7 +77,7 @@ def rotation_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
     slow = log.labelled("turn_slow")
     if not slow:
         raise MeasurementError("there is no recording of a rotating vector")
-    found = [follow_vector(one.columns[f"{name}.position"], one.columns[f"{name}.test_angle"]) for one in slow]
+    found = [follow_vector(one[f"{name}.position"], one[f"{name}.test_angle"]) for one in slow]
     if len({one.pole_pairs for one in found}) != 1 or len({one.direction for one in found}) != 1:
         raise MeasurementError("the shaft follows the rotating vector in one direction only: it is blocked or loaded")
     if found[0].direction < 0:
@@ -86,15 +87,15 @@ def rotation_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
     return {"pole_pairs": Estimate(float(found[0].pole_pairs), 0.0), **sensor_errors(slow, name, r)}
 
 
-def _speeds(recording: Recording, name: str) -> tuple[float, float]:
+def _speeds(recording: Trace, name: str) -> tuple[float, float]:
     """Mean speeds of vector (electrical) and shaft (mechanical) [rad/s]."""
-    angle, position = (recording.columns[f"{name}.{key}"] for key in ("test_angle", "position"))
+    angle, position = (recording[f"{name}.{key}"] for key in ("test_angle", "position"))
     usable = np.isfinite(angle) & np.isfinite(position)
     time = recording.time[usable]
     return tuple(float(np.polyfit(time, y, 1)[0]) for y in (np.unwrap(angle[usable]), position[usable]))  # type: ignore[return-value]
 
 
-def shaft_follows(recording: Recording, name: str, pairs: float) -> bool:
+def shaft_follows(recording: Trace, name: str, pairs: float) -> bool:
     """Whether the shaft follows a rotating vector; `pairs`: number of pole pairs."""
     electrical, shaft = _speeds(recording, name)
     return abs(shaft * pairs - electrical) < FOLLOW_TOLERANCE * abs(electrical)
@@ -115,8 +116,8 @@ def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate
         raise MeasurementError(
             "the shaft does not follow a rotating vector: it is blocked, or the current is too small"
         )
-    means = [mean_of(one.columns[f"{name}.u_q"])[0] for one in fast]
-    current = mean_of(fast[0].columns[f"{name}.i_d"])[0]
+    means = [mean_of(one[f"{name}.u_q"])[0] for one in fast]
+    current = mean_of(fast[0][f"{name}.i_d"])[0]
     induced = (means[0] - means[1]) / (speeds[0] - speeds[1]) - l_d * current
     if not induced > 1e-4:
         raise MeasurementError("the rotating rotor induces no voltage: it has no magnets, or a wire is open")

@@ -16,8 +16,9 @@ from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.trace import Trace
 
-from servo_measurement.access import BoardAccess, MeasurementError, Recording, step_of
+from servo_measurement.access import BoardAccess, MeasurementError, step_of
 
 FORMAT: Final = 1
 
@@ -50,10 +51,10 @@ class MeasurementLog:
 
     axis: int  # index of the measured axis
     calls: list[Call] = field(default_factory=list)
-    recordings: list[Recording] = field(default_factory=list)  # one per ``record`` call
+    recordings: list[Trace] = field(default_factory=list)  # one per ``record`` call
     notes: dict[str, Any] = field(default_factory=dict)  # additional data: limits, first estimates, board time
 
-    def labelled(self, label: str) -> list[Recording]:
+    def labelled(self, label: str) -> list[Trace]:
         """Recordings with a label, in order."""
         calls = [call for call in self.calls if call.kind == "record"]
         return [recording for call, recording in zip(calls, self.recordings, strict=True) if call.label == label]
@@ -106,7 +107,7 @@ class MeasurementLog:
                 for k, head in enumerate(text["recordings"]):
                     table = np.asarray(archive[f"r{k}"], dtype=np.float64)
                     columns = {name: table[:, column] for column, name in enumerate(head["names"])}
-                    recordings.append(Recording(float(head["step"]), columns))
+                    recordings.append(Trace(float(head["step"]), columns))
                 calls, notes = [_of_json(call) for call in text["calls"]], dict(text["notes"])
                 return cls(int(text["axis"]), calls, recordings, notes)
         except _MALFORMED:
@@ -193,7 +194,7 @@ class LoggedAccess(BoardAccess):
         trigger: str | None = None,
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
-    ) -> Recording:
+    ) -> Trace:
         """Record with `label`, which applies to one recording; calls in `meanwhile` are not logged."""
         outer, label = self._calls, self.label
         inner: list[Call] = []
@@ -223,7 +224,7 @@ class LoggedAccess(BoardAccess):
         return recording
 
 
-def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = ()) -> list[Recording]:
+def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = ()) -> list[Trace]:
     """Replay the calls of a log on another board.
 
     Parameters
@@ -233,7 +234,7 @@ def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = 
 
     Returns
     -------
-    list of Recording
+    list of Trace
         One recording for each one in the log.
 
     Raises
@@ -241,7 +242,7 @@ def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = 
     MeasurementError
         If a recording is not possible.
     """
-    recordings: list[Recording] = []
+    recordings: list[Trace] = []
     for call in log.calls:
         if call.stage not in skipped:
             _repeat(call, access, recordings)
@@ -250,7 +251,7 @@ def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = 
     return recordings
 
 
-def _repeat(call: Call, access: BoardAccess, recordings: list[Recording]) -> None:
+def _repeat(call: Call, access: BoardAccess, recordings: list[Trace]) -> None:
     if call.kind == "write":
         name, words, first = call.arguments
         access.write_words(name, words, first)

@@ -9,12 +9,13 @@ from functools import partial
 from typing import Any, Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.trace import Trace
 from servo_tuning.configuration import Scales
 from servo_tuning.errors import ConfigError, exactly, higher, lower
 from servo_tuning.formats import GAIN
 from servo_tuning.schema import BOARD_GROUPS
 
-from servo_measurement.access import MeasurementError, Recording, refuse_faults, send_configuration
+from servo_measurement.access import MeasurementError, refuse_faults, send_configuration
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import LoggedAccess
 from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted
@@ -255,7 +256,7 @@ class MotorRig(AxisUnderTest):
     def start_signal(self, point: str) -> None:
         start_test_signal(self.access, self.axis, f"I_{point}")
 
-    def sweep(self, label: str, point: str, amplitude: float) -> Recording:
+    def sweep(self, label: str, point: str, amplitude: float) -> Trace:
         """A swept sine on a current, of `amplitude` [A], sampled by the fast loop."""
         self.signal(point.upper(), amplitude, *_SWEEP_BAND, _SWEEP_CALLS * PERIOD)
         columns = (f"i_{point}", f"u_{point}", "test_signal")
@@ -270,7 +271,7 @@ class MotorRig(AxisUnderTest):
         every: int = 1,
         start: Callable[[], None] | None = None,
         lead: float = 0.0,
-    ) -> Recording:
+    ) -> Trace:
         """A recording of the slow loop; with `start` it begins at a test signal, at least `lead` [s] later."""
         self.access.label = label
         return self.record(columns, samples, every, True, start, triggered=start is not None, lead=lead)
@@ -286,7 +287,7 @@ class MotorRig(AxisUnderTest):
         begin: Callable[[], None] = lambda: None,
         *,
         mark: bool = True,
-    ) -> Recording:
+    ) -> Trace:
         """A recording that begins at a constant speed [rad/s]; the shaft stops before the samples are read.
 
         Parameters

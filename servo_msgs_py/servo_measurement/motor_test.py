@@ -17,9 +17,10 @@ from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults
+from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
 from servo_measurement.dead_time import band_of, check_band
 from servo_measurement.estimation import (
@@ -476,7 +477,7 @@ class MotorTest:
 
     def _record_rotating(
         self, label: str, columns: Sequence[str], samples: int, every: int, electrical: float
-    ) -> Recording:
+    ) -> Trace:
         """A recording with a vector rotating at an electrical speed [rad/s]."""
         times = abs(electrical) / TURN_RAMP + TURN_SETTLE, abs(electrical) / TURN_RAMP + STOPPED
         return self._rig.moving(label, columns, samples, every, electrical / NOMINAL["pole_pairs"], times)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.trace import Trace
 
-from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.access import MeasurementError
 from servo_measurement.least_squares import Floats, fit_linear
 from servo_measurement.motor_values import Estimate
 
@@ -60,7 +61,7 @@ def follow_vector(position: Floats, theta_e: Floats) -> VectorFollowing:
     return VectorFollowing(pairs, 1 if slope > 0 else -1, measured)
 
 
-def sensor_errors(recordings: list[Recording], axis: str, r: float) -> dict[str, Estimate]:
+def sensor_errors(recordings: list[Trace], axis: str, r: float) -> dict[str, Estimate]:
     """Gain of phase a over b and c (ratio) and offsets [A], with the resistance `r` [ohm].
 
     A current that is measured too small is controlled to be too large; the voltage of the phase reveals the actual
@@ -69,7 +70,7 @@ def sensor_errors(recordings: list[Recording], axis: str, r: float) -> dict[str,
     rows: list[Floats] = []
     values: list[Floats] = []
     for recording in recordings:
-        theta, u_d, i_d = (recording.columns[f"{axis}.{name}"] for name in ("test_angle", "u_d", "i_d"))
+        theta, u_d, i_d = (recording[f"{axis}.{name}"] for name in ("test_angle", "u_d", "i_d"))
         usable = np.isfinite(theta) & np.isfinite(u_d) & np.isfinite(i_d)
         theta, u_d, i_d = theta[usable], u_d[usable], i_d[usable]
         level = np.ones_like(theta)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.trace import Trace
 
-from servo_measurement.access import Recording
 from servo_measurement.least_squares import Floats, fit_linear, mean_of
 from servo_measurement.motor_values import Estimate
 from servo_measurement.standstill import PERIOD, Ohmic, switching_share
@@ -30,15 +30,15 @@ class Steady:
     u_d: Estimate | None = None  # [V]; None: not recorded
 
 
-def second_half(recording: Recording) -> Recording:
+def second_half(recording: Trace) -> Trace:
     """Second half of a recording, after a transient."""
-    return Recording(recording.step, {name: column[column.size // 2 :] for name, column in recording.columns.items()})
+    return recording.samples(len(recording) // 2)
 
 
-def steady_of(recording: Recording, axis: str) -> Steady:
+def steady_of(recording: Trace, axis: str) -> Steady:
     """Means of a recording at constant speed."""
     names = [name for name in ("i_d", "i_q", "u_q", "u_d") if f"{axis}.{name}" in recording.columns]
-    part = {name: recording.columns[f"{axis}.{name}"] for name in ("position", *names)}
+    part = {name: recording[f"{axis}.{name}"] for name in ("position", *names)}
     usable = np.isfinite(part["position"])
     time = recording.time[usable]
     curvature, slope, _ = np.polyfit(time - time.mean(), part["position"][usable], 2)
@@ -117,7 +117,7 @@ def _interpolated(column: Floats) -> Floats:
 
 
 def balance(
-    recordings: list[Recording],
+    recordings: list[Trace],
     axis: str,
     motor: tuple[int, float, float, float],
     parts: tuple[float, float, float] | None,
@@ -126,7 +126,7 @@ def balance(
 
     Parameters
     ----------
-    recordings : list of Recording
+    recordings : list of Trace
         Recordings of an axis that accelerates and decelerates.
     axis : str
         Name of the axis.
@@ -139,7 +139,7 @@ def balance(
     rows: list[Floats] = []
     values: list[Floats] = []
     for k, recording in enumerate(recordings):
-        position, i_d, i_q = (_interpolated(recording.columns[f"{axis}.{name}"]) for name in ("position", "i_d", "i_q"))
+        position, i_d, i_q = (_interpolated(recording[f"{axis}.{name}"]) for name in ("position", "i_d", "i_q"))
         torque = torque_of(i_d, i_q, *motor)
         speed = np.diff(position) / recording.step
         middle = torque[1:-1]  # between the middles of two intervals

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.access import MeasurementError
 from servo_measurement.least_squares import Floats, fit_linear, fit_nonlinear
 from servo_measurement.motor_values import Estimate
 
@@ -87,7 +88,7 @@ def _response(omega: Floats, r: float, inductance: float, delay: float, swing: f
 
 
 def impedance(
-    recordings: list[Recording],
+    recordings: list[Trace],
     names: tuple[str, str, str],
     r: float,
     band: tuple[float, float],
@@ -100,7 +101,7 @@ def impedance(
 
     Parameters
     ----------
-    recordings : list of Recording
+    recordings : list of Trace
         Sampled every PWM period, including the decay after the signal.
     names : tuple of str
         Columns of current, voltage and test signal.
@@ -149,7 +150,7 @@ def impedance(
 
 
 def spectra(
-    recordings: Sequence[Recording], names: tuple[str, str, str], band: tuple[float, float]
+    recordings: Sequence[Trace], names: tuple[str, str, str], band: tuple[float, float]
 ) -> tuple[Floats, Complex, Complex]:
     """Cross spectra with the test signal, averaged over repetitions.
 
@@ -160,7 +161,7 @@ def spectra(
     current, voltage : ndarray of complex, shape (n,)
         Spectra relative to the test signal, which is free of noise.
     """
-    columns = [_mean_of_repetitions([recording.columns[name] for recording in recordings]) for name in names]
+    columns = [_mean_of_repetitions([recording[name] for recording in recordings]) for name in names]
     size = columns[0].size
     # the response has decayed in the last samples: their mean is the constant component
     i, u, d = (np.fft.rfft(column - column[-max(size // 16, 4) :].mean()) for column in columns)

@@ -8,20 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.access import MeasurementError
 from servo_measurement.least_squares import fit_linear, fit_nonlinear, mean_of
 from servo_measurement.log import Call, MeasurementLog, repeat
 from servo_measurement.motor_values import Estimate, Limits
 from servo_measurement.rotating_vector import follow_vector
 from servo_measurement.speed_runs import balance
 from servo_measurement.standstill import PERIOD, impedance, ohmic, switching_share
+from servo_msgs_py.trace import Trace
 
 Floats = NDArray[np.float64]
 
 NAMES = ("i", "u", "d")
 
 
-def _sweep(r: float, inductance: float, seed: int, *, noise: float = 0.008) -> Recording:
+def _sweep(r: float, inductance: float, seed: int, *, noise: float = 0.008) -> Trace:
     """PI-controlled winding with a swept set-point; the voltage is loaded half a period after its sample."""
     rng = np.random.default_rng(seed)
     size, calls, omega = 1280, 1100, 2.0 * math.pi * 400.0
@@ -42,7 +43,7 @@ def _sweep(r: float, inductance: float, seed: int, *, noise: float = 0.008) -> R
         for voltage in (applied, u[k]):
             current = half * current + (1.0 - half) / r * voltage
         applied = u[k]
-    return Recording(PERIOD, {"i": i, "u": u, "d": d})
+    return Trace(PERIOD, {"i": i, "u": u, "d": d})
 
 
 @pytest.mark.parametrize(("r", "inductance"), [(0.2, 0.1e-3), (0.6, 0.5e-3), (6.0, 3e-3)])
@@ -54,18 +55,21 @@ def test_inductance_and_delay_are_estimated_from_a_swept_sine(r: float, inductan
 
 
 def test_missing_samples_are_taken_from_the_repetitions() -> None:
-    recordings = [_sweep(0.6, 0.5e-3, seed) for seed in range(3)]
     rng = np.random.default_rng(1)
-    for recording in recordings:
-        for column in recording.columns.values():
-            column[rng.random(column.size) < 0.1] = np.nan
+
+    def gaps(whole: Trace) -> Trace:
+        return whole.changed(
+            **{name: np.where(rng.random(len(whole)) < 0.1, np.nan, values) for name, values in whole.columns.items()}
+        )
+
+    recordings = [gaps(_sweep(0.6, 0.5e-3, seed)) for seed in range(3)]
     found = impedance(recordings, NAMES, 0.6, (400.0, 2500.0))
     assert found.inductance.value == pytest.approx(0.5e-3, rel=0.02)
 
 
 def test_no_sample_of_a_signal_is_an_error() -> None:
-    recording = _sweep(0.6, 0.5e-3, 0)
-    recording.columns["i"][:] = np.nan
+    whole = _sweep(0.6, 0.5e-3, 0)
+    recording = whole.changed(i=np.full(len(whole), np.nan))
     with pytest.raises(MeasurementError, match="missing"):
         impedance([recording], NAMES, 0.6, (400.0, 2500.0))
 
@@ -104,7 +108,7 @@ def test_inertia_is_estimated_from_the_momentum() -> None:
     speed = 50.0 * np.sin(2.0 * math.pi * 2.0 * time)
     torque = inertia * np.gradient(speed, step) + coulomb * np.sign(speed)
     columns = {"a.position": np.cumsum(speed) * step, "a.i_q": torque / (1.5 * pairs * psi), "a.i_d": np.zeros(600)}
-    found, dry = balance([Recording(step, columns)], "a", (pairs, psi, 1e-3, 1e-3), None)
+    found, dry = balance([Trace(step, columns)], "a", (pairs, psi, 1e-3, 1e-3), None)
     assert found.value == pytest.approx(inertia, rel=0.01)
     assert dry.value == pytest.approx(coulomb, rel=0.05)
 
@@ -131,14 +135,14 @@ def test_log_is_restored_from_its_file(tmp_path: Path) -> None:
         Call("record", (["a", "b"], 3, 2, True, None), inner, "speed"),
     ]
     columns = {"a": np.array([1.0, np.nan, 3.0]), "b": np.zeros(3)}
-    log = MeasurementLog(1, calls, [Recording(1e-3, columns)], {"limits": {"current": 4.0}})
+    log = MeasurementLog(1, calls, [Trace(1e-3, columns)], {"limits": {"current": 4.0}})
     log.save(tmp_path / "log.npz")
     found = MeasurementLog.load(tmp_path / "log.npz")
     assert [one.kind for one in found.calls] == ["write", "wait", "record"]
     assert found.calls[2].inner[0].arguments[0] == "cmd.speed"
     assert (found.axis, found.notes, found.labels) == (1, log.notes, ["speed"])
     assert found.seconds == pytest.approx(0.5 + 3 * 2 * 0.5e-3)
-    np.testing.assert_array_equal(found.labelled("speed")[0].columns["a"], columns["a"])
+    np.testing.assert_array_equal(found.labelled("speed")[0]["a"], columns["a"])
 
 
 def test_other_files_are_refused_as_log(tmp_path: Path) -> None:
@@ -148,7 +152,7 @@ def test_other_files_are_refused_as_log(tmp_path: Path) -> None:
 
 
 def test_stages_may_be_omitted_in_a_repetition() -> None:
-    recording = Recording(1e-3, {"a": np.zeros(3)})
+    recording = Trace(1e-3, {"a": np.zeros(3)})
     record = Call("record", (["a"], 3, 1, True, None), (), "turn_slow", "turn")
     log = MeasurementLog(0, [record], [recording])
     assert repeat(log, None, ("turn",)) == [recording]  # type: ignore[arg-type]

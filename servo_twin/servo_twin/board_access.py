@@ -11,11 +11,11 @@ from servo_measurement.access import (
     TRIGGER_TIMEOUT,
     BoardAccess,
     MeasurementError,
-    Recording,
     element_of,
     step_of,
 )
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board, BoardError
 
@@ -82,7 +82,7 @@ class VirtualBoardAccess(BoardAccess):
         trigger: str | None = None,
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
-    ) -> Recording:
+    ) -> Trace:
         """Record in simulated time; parameters: see `BoardAccess.record`."""
         elements = [element_of(self.catalogue, name) for name in names]
         sampled = list(elements)
@@ -119,7 +119,7 @@ class VirtualBoardAccess(BoardAccess):
             name: points[field].astype(np.float64) * variable.lsb
             for name, field, (variable, _) in zip(names, fields, elements, strict=False)
         }
-        return Recording(step_of(every, slow), columns)
+        return Trace(step_of(every, slow), columns)
 
     def _first_triggered(self, column: int) -> int:
         """Run until the variable of a column is above zero; returns the index of this sample."""

@@ -44,11 +44,11 @@ def test_values_are_si_and_elements_are_written_separately(access: VirtualBoardA
 def test_samples_have_the_requested_period(access: VirtualBoardAccess) -> None:
     recording = access.record(["tick"], 50, 4, slow=False)
     assert recording.step == pytest.approx(4 * PERIOD_NS * 1e-9)
-    assert np.diff(recording.columns["tick"]).tolist() == [4.0] * 49
+    assert np.diff(recording["tick"]).tolist() == [4.0] * 49
     assert recording.time[-1] == pytest.approx(49 * recording.step)
     recording = access.record(["tick", "u_dc"], 20, 3, slow=True)
-    assert np.diff(recording.columns["tick"]).tolist() == [3.0 * SLOW_PERIODS] * 19
-    assert recording.columns["u_dc"].mean() == pytest.approx(24.0, abs=1.0)
+    assert np.diff(recording["tick"]).tolist() == [3.0 * SLOW_PERIODS] * 19
+    assert recording["u_dc"].mean() == pytest.approx(24.0, abs=1.0)
 
 
 def test_recording_starts_at_its_trigger(access: VirtualBoardAccess) -> None:
@@ -57,7 +57,7 @@ def test_recording_starts_at_its_trigger(access: VirtualBoardAccess) -> None:
         access.write("cmd.enable", [1.0], 0)
 
     recording = access.record(["tick", "axis1.event_state"], 10, 1, slow=True, start=start, trigger="axis1.event_state")
-    event = recording.columns["axis1.event_state"]
+    event = recording["axis1.event_state"]
     assert event[0] > 0.0
     assert access.capacity(["tick", "axis1.event_state"]) == RECORDER_BYTES // 6
     with pytest.raises(MeasurementError, match="no trigger within"):
@@ -75,8 +75,8 @@ def test_event_of_a_command_is_at_the_tick_of_its_effect(access: VirtualBoardAcc
     recording = access.record(
         names, 10, 1, slow=False, start=lambda: access.write("cmd.mode", [speed], 1), trigger="axis2.event_mode"
     )
-    assert recording.columns["tick"][0] == access.board.read_raw("applied_tick")[0]
-    assert recording.columns["axis2.mode"].tolist() == [speed] * 10
+    assert recording["tick"][0] == access.board.read_raw("applied_tick")[0]
+    assert recording["axis2.mode"].tolist() == [speed] * 10
 
 
 def test_first_fault_is_at_the_tick_of_its_record(access: VirtualBoardAccess) -> None:
@@ -84,11 +84,9 @@ def test_first_fault_is_at_the_tick_of_its_record(access: VirtualBoardAccess) ->
         ["tick", "axis1.first_fault"], 10, 1, slow=False, start=lambda: access.board.set_supply(36.0),
         trigger="axis1.first_fault",
     )  # fmt: skip
-    assert set(recording.columns["axis1.first_fault"]) == {
-        access.catalogue.flag("faults", "OVER_VOLTAGE").mask.bit_length()
-    }
+    assert set(recording["axis1.first_fault"]) == {access.catalogue.flag("faults", "OVER_VOLTAGE").mask.bit_length()}
     record = fault_record(access.board, 0)
-    assert 0 <= recording.columns["tick"][0] - record.tick <= 1
+    assert 0 <= recording["tick"][0] - record.tick <= 1
 
 
 def test_fault_is_reported_with_its_remedy(access: VirtualBoardAccess) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from servo_measurement.access import MeasurementError, Recording, send_configuration
+from servo_measurement.access import MeasurementError, send_configuration
 from servo_measurement.bode import Bode, measure
 from servo_measurement.bode_plan import LOOPS, BodeRequest
 from servo_measurement.bode_report import as_dict, draw, text
@@ -16,6 +16,7 @@ from servo_measurement.test_signal import end_test_signal
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.figure import PictureError
+from servo_msgs_py.trace import Trace
 from servo_tuning.reading import loads
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
@@ -243,7 +244,7 @@ def test_varying_speed_of_the_shaft_is_an_error(access: VirtualBoardAccess) -> N
 class Computing(VirtualBoardAccess):
     """A host that computes for longer than the time-out of the set-points after each recording."""
 
-    def record(self, *args: Any, **options: Any) -> Recording:
+    def record(self, *args: Any, **options: Any) -> Trace:
         recording = super().record(*args, **options)
         self.board.run(0.8)
         return recording
@@ -257,7 +258,7 @@ def test_a_current_that_expires_between_two_recordings_still_holds_the_rotor(acc
 class EndedSignal(VirtualBoardAccess):
     """A board that ends a test signal half-way."""
 
-    def record(self, *args: Any, **options: Any) -> Recording:
+    def record(self, *args: Any, **options: Any) -> Trace:
         meanwhile: Callable[[bool], None] = options["meanwhile"]
         calls = 0
 

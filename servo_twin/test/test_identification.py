@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from servo_measurement.access import MeasurementError, Recording, step_of
+from servo_measurement.access import MeasurementError, step_of
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_test import MotorTest
 from servo_measurement.motor_values import Limits
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.trace import Trace
 from servo_tuning.reading import load
 from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess
@@ -73,13 +74,14 @@ def test_the_controller_is_tuned_for_it(folder: Path) -> None:
 def test_a_recording_with_missing_samples_is_enough(folder: Path, tmp_path: Path) -> None:
     log = MeasurementLog.load(folder / "measurement.npz")
     rng = np.random.default_rng(2)
-    for recording in log.recordings:
-        size = next(iter(recording.columns.values())).size
+    for k, recording in enumerate(log.recordings):
+        size = len(recording)
         gone = rng.random(size) < 0.05
         begin = int(rng.integers(0, size))
         gone[begin : begin + size // 20] = True
-        for column in recording.columns.values():
-            column[gone] = np.nan
+        log.recordings[k] = recording.changed(
+            **{name: np.where(gone, np.nan, values) for name, values in recording.columns.items()}
+        )
     log.save(tmp_path / "gaps.npz")
     arguments = ["identify", "--recording", str(tmp_path / "gaps.npz"), "--model", "ideal", "--out", str(tmp_path)]
     assert main(arguments) == 0
@@ -169,9 +171,7 @@ class _Watched(VirtualBoardAccess):
         self._meanwhile(self)
         self._advance(seconds)
 
-    def record(
-        self, names: Sequence[str], samples: int, every: int, slow: bool, *args: Any, **options: Any
-    ) -> Recording:
+    def record(self, names: Sequence[str], samples: int, every: int, slow: bool, *args: Any, **options: Any) -> Trace:
         attended: Callable[[bool], None] = options["meanwhile"]
 
         def pass_time(seconds: float, full: bool) -> None:

@@ -96,19 +96,17 @@ def draw(path: Path, result: Identified) -> None:
         for point, style in (("d", "-"), ("q", "--")):
             sweep = next((one for kind, one in labelled if kind == f"sweep_{point}"), None)
             if sweep is not None:
-                plots[0, 1].plot(
-                    1e3 * sweep.time[:400], sweep.columns[f"{name}.i_{point}"][:400], style, color=colour, lw=0.8
-                )
+                plots[0, 1].plot(1e3 * sweep.time[:400], sweep[f"{name}.i_{point}"][:400], style, color=colour, lw=0.8)
         begin = 0.0
         for kind, one in labelled:
             if kind == "speed":
                 time = begin + one.time
                 begin = float(time[-1])
-                plots[0, 2].plot(time, one.columns[f"{name}.speed"], color=colour, lw=1.0)
-                plots[1, 0].plot(time, one.columns[f"{name}.i_q"], color=colour, lw=0.8)
+                plots[0, 2].plot(time, one[f"{name}.speed"], color=colour, lw=1.0)
+                plots[1, 0].plot(time, one[f"{name}.i_q"], color=colour, lw=0.8)
         held = [one for kind, one in labelled if kind == "plain"]
-        speeds = [float(np.polyfit(one.time, np.nan_to_num(one.columns[f"{name}.position"]), 1)[0]) for one in held]
-        plots[1, 1].plot(speeds, [mean_of(one.columns[f"{name}.i_q"])[0] for one in held], mark, color=colour)
+        speeds = [float(np.polyfit(one.time, np.nan_to_num(one[f"{name}.position"]), 1)[0]) for one in held]
+        plots[1, 1].plot(speeds, [mean_of(one[f"{name}.i_q"])[0] for one in held], mark, color=colour)
     for plot, title, x, y in (
         (plots[0, 0], "resistance and voltage error", "i_d [A]", "u_d [V]"),
         (plots[0, 1], "swept sine, d and q (dashed)", "time [ms]", "current [A]"),

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from servo_measurement.access import MeasurementError, Recording
+from servo_measurement.access import MeasurementError
 from servo_measurement.estimation import BAND, estimates_of
 from servo_measurement.least_squares import mean_of
 from servo_measurement.log import MeasurementLog, repeat
@@ -24,6 +24,7 @@ from servo_measurement.motor_test import PULSES, SPEEDS, TURN
 from servo_measurement.motor_values import Estimate, MotorEstimates
 from servo_measurement.standstill import spectra
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess
@@ -105,7 +106,7 @@ class Refinement:
     estimates: MotorEstimates  # unchanged where not refined
     before: Mapping[str, float]  # RMS difference of each signal before the refinement [SI]
     after: Mapping[str, float]  # RMS difference of each signal after the refinement [SI]
-    simulated: list[Recording]  # recordings of a board with the refined values
+    simulated: list[Trace]  # recordings of a board with the refined values
 
 
 def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
@@ -132,7 +133,7 @@ def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits:
     return plant.with_axis(axis, **changes)
 
 
-def simulated(log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal") -> list[Recording]:
+def simulated(log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal") -> list[Trace]:
     """Recordings of a virtual board with this plant and load [N m] in the same test.
 
     Raises
@@ -183,7 +184,7 @@ class _Difference:
                 first_run = False  # the end of the preceding rotor search differs
                 continue
             for column in _COMPARED.get(label, ()):
-                usable = np.isfinite(recording.columns[f"{self._name}.{column}"])
+                usable = np.isfinite(recording[f"{self._name}.{column}"])
                 if label == "hold":  # the d current must settle first
                     usable[: usable.size // 2] = False
                 every = max(round(_AVERAGED[label] / recording.step), 1)
@@ -191,25 +192,25 @@ class _Difference:
                     self._parts.append(_Part(k, label, column, usable, np.arange(usable.size)[usable] // every))
         self._sigma: dict[tuple[str, str], float] = {}
 
-    def _raw(self, recordings: Sequence[Recording]) -> list[tuple[_Part, Floats]]:
+    def _raw(self, recordings: Sequence[Trace]) -> list[tuple[_Part, Floats]]:
         result = []
         for part in self._parts:
             key = f"{self._name}.{part.column}"
-            there, here = self._log.recordings[part.number].columns[key], recordings[part.number].columns[key]
+            there, here = self._log.recordings[part.number][key], recordings[part.number][key]
             if part.label == "speed":
                 here = self._aligned(part.number, recordings[part.number], here, there)
             result.append((part, part.means((here - there)[part.usable])))
         return result
 
-    def _aligned(self, number: int, recordings: Recording, column: Floats, measured: Floats) -> Floats:
+    def _aligned(self, number: int, recordings: Trace, column: Floats, measured: Floats) -> Floats:
         """Simulated column, shifted to the measured change of the set-point; before it the measured column."""
         key = f"{self._name}.speed_ref"
-        late = _ramp_centre(self._log.recordings[number].columns[key]) - _ramp_centre(recordings.columns[key])
+        late = _ramp_centre(self._log.recordings[number][key]) - _ramp_centre(recordings[key])
         at = np.arange(column.size, dtype=np.float64)
         shifted: Floats = np.where(at < late, measured, np.interp(at - late, at, column))
         return shifted
 
-    def _sweeps(self, recordings: Sequence[Recording]) -> list[tuple[str, Floats]]:
+    def _sweeps(self, recordings: Sequence[Trace]) -> list[tuple[str, Floats]]:
         """Differences of the spectra relative to the test signal, all sweeps of an axis (d, q) together."""
         result = []
         for point in "dq":
@@ -224,7 +225,7 @@ class _Difference:
                 result.append((f"{point}{quantity}", np.concatenate([difference.real, difference.imag])))
         return result
 
-    def weigh(self, recordings: Sequence[Recording]) -> None:
+    def weigh(self, recordings: Sequence[Trace]) -> None:
         """Estimate the noise of every signal, from the differences of successive means or from the single mean."""
         noise: dict[tuple[str, str], list[float]] = {}
         for part, values in self._raw(recordings):
@@ -233,7 +234,7 @@ class _Difference:
             else:
                 # from the difference, so that common changes do not count as noise
                 column = f"{self._name}.{part.column}"
-                there, here = self._log.recordings[part.number].columns[column], recordings[part.number].columns[column]
+                there, here = self._log.recordings[part.number][column], recordings[part.number][column]
                 _, sigma = mean_of((here - there)[part.usable])
             noise.setdefault((part.label, part.column), []).append(sigma)
         for key, sigmas in noise.items():
@@ -241,7 +242,7 @@ class _Difference:
         for name, values in self._sweeps(recordings):
             self._sigma["sweep", name] = max(_robust_deviation(np.diff(values)) / math.sqrt(2.0), 1e-9)
 
-    def vector(self, recordings: Sequence[Recording]) -> Floats:
+    def vector(self, recordings: Sequence[Trace]) -> Floats:
         plain = [values / self._sigma[part.label, part.column] for part, values in self._raw(recordings)]
         return np.concatenate(plain + [values / self._sigma["sweep", key] for key, values in self._sweeps(recordings)])
 
@@ -264,7 +265,7 @@ class _Difference:
         together = [np.arange(size) // BATCH + 10_000 * n for n, size in enumerate(sizes)]
         return np.concatenate([*together, 1_000_000 + np.arange(rest)])
 
-    def rms(self, recordings: Sequence[Recording]) -> dict[str, float]:
+    def rms(self, recordings: Sequence[Trace]) -> dict[str, float]:
         """RMS of the differences of each signal."""
         found: dict[str, list[Floats]] = {}
         for part, values in self._raw(recordings):
@@ -319,7 +320,7 @@ def refine(
     names = [name for name in REFINED if name in first.values]
     start = {name: estimate.value for name, estimate in first.values.items()}
     torque = 1.5 * start["pole_pairs"] * start["psi_m"] * limits["current"]
-    top = max(float(np.nanmax(np.abs(r.columns[f"{axis_name(log.axis)}.speed"]))) for r in log.labelled("speed"))
+    top = max(float(np.nanmax(np.abs(r[f"{axis_name(log.axis)}.speed"]))) for r in log.labelled("speed"))
     scale = {name: abs(start[name]) for name in names}
     scale["friction"] = max(scale.get("friction", 0.0), 0.003 * torque)
     scale["viscous"] = max(scale.get("viscous", 0.0), 0.5 * scale["friction"] / top)
@@ -328,14 +329,14 @@ def refine(
     corrected = _corrected(log, start, base, names, level)
     start = corrected.values
     difference = _Difference(log)
-    recordings: dict[bytes, list[Recording]] = {}
+    recordings: dict[bytes, list[Trace]] = {}
 
     depends = difference.depends(names)
 
     def values_of(x: Floats) -> dict[str, float]:
         return {**start, **{name: start[name] + x[k] * scale[name] for k, name in enumerate(names)}}
 
-    def show(x: Floats) -> list[Recording]:
+    def show(x: Floats) -> list[Trace]:
         key = x.tobytes()
         if key not in recordings:
             values = values_of(x)
@@ -414,8 +415,8 @@ class _Start:
     """Start of the minimisation."""
 
     values: dict[str, float]  # bias-corrected estimates
-    detailed: list[Recording]  # recordings of the detailed model near these values
-    fast: list[Recording]  # recordings of the fast model at the values of `detailed`
+    detailed: list[Trace]  # recordings of the detailed model near these values
+    fast: list[Trace]  # recordings of the fast model at the values of `detailed`
 
 
 def _corrected(
@@ -424,10 +425,10 @@ def _corrected(
     """Bias-corrected estimates; the bias is determined by the same estimators with simulated recordings."""
     values, limits = dict(first), log.notes["limits"]
 
-    def show(at: Level) -> list[Recording]:
+    def show(at: Level) -> list[Trace]:
         return simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0), at)
 
-    detailed: list[Recording] = []
+    detailed: list[Trace] = []
     # without friction a simulated shaft would oscillate about the vector without decay
     minimum = FRICTION_MIN * 1.5 * first["pole_pairs"] * first["psi_m"] * limits["current"]
     values["friction"], values["viscous"] = max(values["friction"], minimum), max(values["viscous"], 0.0)
@@ -453,13 +454,10 @@ def _corrected(
     return _Start(refined, detailed, fast)
 
 
-def _with_gaps(recordings: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:
+def _with_gaps(recordings: Sequence[Trace], like: Sequence[Trace]) -> list[Trace]:
     """Recordings with the same missing samples as `like`."""
     return [
-        Recording(
-            one.step,
-            {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns},
-        )
+        one.changed(**{name: np.where(np.isfinite(there[name]), one[name], np.nan) for name in one.columns})
         for one, there in zip(recordings, like, strict=True)
     ]
 

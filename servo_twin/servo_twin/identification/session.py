@@ -202,7 +202,7 @@ def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
     found = []
     for column, (fixed, part) in EXPLAINED.items():
         key = f"{axis_name(log.axis)}.{column}"
-        runs = [recording.columns[key] for recording in log.labelled("speed") if key in recording.columns]
+        runs = [recording[key] for recording in log.labelled("speed") if key in recording.columns]
         rms = refinement.after.get(column)
         if rms is None or not runs:
             continue
