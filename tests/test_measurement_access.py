@@ -12,7 +12,7 @@ from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.measurement_access import SessionAccess, measurement_access
 from servo_bridge.wire.session import connect
-from servo_measurement.access import MeasurementError, faults_refused, send_configuration
+from servo_measurement.access import Capture, MeasurementError, faults_refused, send_configuration
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board
@@ -55,7 +55,7 @@ def test_enabled_axis_has_no_host_time_out(board: Board, access: SessionAccess) 
     access.wait(3.0)
     names = ("tick", "axis1.i_q")
     with faults_refused(access, 0):
-        recording = access.record(names, access.capacity(names), 2, slow=True)
+        recording = access.record(Capture(names, access.capacity(names), 2, slow=True))
     assert np.all(np.diff(recording["tick"]) == 16.0)
     assert recording.step == pytest.approx(1e-3)
     assert board.read("axis1.state") == board.catalogue.enums["state_t"]["RUN"]
@@ -67,14 +67,14 @@ def test_recording_starts_at_its_trigger(access: SessionAccess) -> None:
         access.write("cmd.enable", [1.0], 0)
 
     names = ("tick", "axis1.event_state", "axis1.i_d")
-    recording = access.record(names, 400, 1, slow=False, start=start, trigger="axis1.event_state")
+    recording = access.record(Capture(names, 400, 1, slow=False, start=start, trigger="axis1.event_state"))
     assert recording["axis1.event_state"][0] == 64.0
     assert np.diff(recording["tick"]).tolist() == [1.0] * 399
     with pytest.raises(MeasurementError, match="has not started"):
-        access.record(names, 400, 1, slow=False, trigger="axis2.event_mode")
-    assert access.record(["tick"], 10, 1, slow=True)["tick"].size == 10
+        access.record(Capture(names, 400, 1, slow=False, trigger="axis2.event_mode"))
+    assert access.record(Capture(["tick"], 10, 1, slow=True))["tick"].size == 10
     with pytest.raises(MeasurementError, match="axis3"):
-        access.record(["axis3.i_q"], 10, 1, slow=False)
+        access.record(Capture(["axis3.i_q"], 10, 1, slow=False))
 
 
 def test_recorder_starts_before_the_recorded_action(board: Board, access: SessionAccess) -> None:
@@ -89,7 +89,9 @@ def test_recorder_starts_before_the_recorded_action(board: Board, access: Sessio
     names, waited = ("tick", "axis1.event_state"), []
     for lead in (0.0, 0.5):
         asked = board.time_ns * 1e-9
-        recording = access.record(names, 1280, 1, slow=True, start=start, trigger="axis1.event_state", lead=lead)
+        recording = access.record(
+            Capture(names, 1280, 1, slow=True, start=start, trigger="axis1.event_state", lead=lead)
+        )
         assert recording["axis1.event_state"][0] > 0.0
         assert np.diff(recording["tick"]).tolist() == [8.0] * 1279
         waited.append(begun[-1] - asked)

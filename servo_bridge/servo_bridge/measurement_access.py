@@ -10,9 +10,9 @@ import numpy as np
 from servo_measurement.access import (
     TRIGGER_TIMEOUT,
     BoardAccess,
+    Capture,
     MeasurementError,
     element_of,
-    step_of,
 )
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
@@ -82,67 +82,48 @@ class SessionAccess(BoardAccess):
             raise MeasurementError("the board does not report the memory size of its recorder")
         return memory // sum(element_of(self.catalogue, name)[0].element_size for name in names)
 
-    def record(
-        self,
-        names: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        trigger: str | None = None,
-        lead: float = 0.0,
-        meanwhile: Callable[[bool], None] | None = None,
-    ) -> Trace:
-        """Record with the recorder of the board; parameters as in `BoardAccess.record`."""
+    def record(self, capture: Capture) -> Trace:
+        """Record with the recorder of the board; see `BoardAccess.record`."""
+        names, trigger = capture.names, capture.trigger
         condition = None if trigger is None else f"{trigger} >= 1"
-        step = step_of(every, slow)
         request = BurstRequest(
             tuple(names),
-            _SLOW if slow else _FAST,
+            _SLOW if capture.slow else _FAST,
             condition,
             trigger is not None,
             None if trigger is None else Before(points=0),
-            samples,
-            1.0 / step,
+            capture.samples,
+            1.0 / capture.step,
         )
         recording = Recording(request, self.catalogue, clock=self.clock)
         try:
-            burst = self._recorded(recording, start, samples * step, lead, meanwhile or (lambda _: None))
+            burst = self._recorded(recording, capture)
         except (RecorderError, UnknownVariableError, ValueError) as error:
             raise MeasurementError(f"recording {', '.join(names)}: {error}") from error
         finally:
             recording.abandon()
         columns = {name: np.asarray(v, np.float64) for name, v in zip(names, burst.values, strict=True)}
-        return Trace(step, columns)
+        return Trace(capture.step, columns)
 
-    def _recorded(
-        self,
-        recording: Recording,
-        start: Callable[[], None] | None,
-        seconds: float,
-        lead: float,
-        meanwhile: Callable[[bool], None],
-    ) -> Burst:
+    def _recorded(self, recording: Recording, capture: Capture) -> Burst:
         while recording.phase in (Phase.SET_UP, Phase.READY):
             recording.step(self._session)
-            meanwhile(False)
+            capture.meanwhile(False)
         # The trigger is effective after the memory was filled once; without a trigger the last samples are kept.
-        filling = 0.0 if recording.request.trigger is None else seconds
-        ready = self.clock() + max(filling + _LEAD - lead, 0.0)
+        filling = 0.0 if capture.trigger is None else capture.seconds
+        ready = self.clock() + max(filling + _LEAD - capture.lead, 0.0)
         while self.clock() < ready:
             self.wait(_ATTEND)
-            meanwhile(False)
-        if start is not None:
-            start()
-        due, full, attended = self.clock() + TRIGGER_TIMEOUT + seconds, False, self.clock()
+            capture.meanwhile(False)
+        capture.start()
+        due, full, attended = self.clock() + TRIGGER_TIMEOUT + capture.seconds, False, self.clock()
         while (burst := recording.step(self._session)) is None:
             if recording.phase is Phase.WAITING and self.clock() > due:
                 raise RecorderError(f"no trigger within {TRIGGER_TIMEOUT:g} s: the signal has not started")
             self._meanwhile()
             if (recording.phase is Phase.READING) != full or self.clock() >= attended + _ATTEND:
                 full, attended = recording.phase is Phase.READING, self.clock()
-                meanwhile(full)
+                capture.meanwhile(full)
             self.wait(recording.pause)
         return burst
 

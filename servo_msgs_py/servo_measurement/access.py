@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 from servo_msgs_py.axis_config_transfer import AppliedBlocks, BlockMemory, send_block, take_blocks
@@ -42,6 +43,54 @@ class MeasurementError(RuntimeError):
         changes = ", or ".join(one.text() for one in remedies)
         super().__init__(f"{text}: {changes}" if changes else text)
         self.remedies = remedies
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What `BoardAccess.record` records, from when on, and what happens meanwhile.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Scalar variables, or elements of arrays as ``name[k]``.
+    samples : int
+        Number of samples; see `BoardAccess.capacity`.
+    every : int
+        Calls of the loop per sample.
+    slow : bool
+        Sample the slow loop instead of every PWM period.
+    start : callable, optional
+        Called when the recorder is armed; starts the process to be recorded.
+    trigger : str, optional
+        Variable: the first sample is the one at which it is above zero. On a serial line the call of `start` is
+        delayed by the recording time minus `lead`, so that the buffer is full before the trigger. By default the
+        recording begins before the call of `start`, on a serial line by up to 0.3 s.
+    lead : float, optional
+        Minimum time from the call of `start` to the trigger [s].
+    meanwhile : callable, optional
+        Called repeatedly, on a serial line about ten times a second, from before `start` until the samples have
+        been read. Its argument is True once the memory is full: from then on the motion of the axis does not affect
+        the recording, while reading the samples over a serial line can take seconds.
+    """
+
+    names: Sequence[str]
+    samples: int
+    every: int = 1
+    slow: bool = False
+    start: Callable[[], None] = lambda: None
+    trigger: str | None = None
+    lead: float = 0.0
+    meanwhile: Callable[[bool], None] = lambda full: None
+
+    @property
+    def step(self) -> float:
+        """Sampling period [s]."""
+        return step_of(self.every, self.slow)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of all samples [s]."""
+        return self.samples * self.step
 
 
 class BoardAccess(BlockMemory, Protocol):
@@ -82,42 +131,8 @@ class BoardAccess(BlockMemory, Protocol):
     def capacity(self, names: Sequence[str]) -> int:
         """Number of samples of these variables in one recording; elements of arrays as ``name[k]``."""
 
-    def record(
-        self,
-        names: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        trigger: str | None = None,
-        lead: float = 0.0,
-        meanwhile: Callable[[bool], None] | None = None,
-    ) -> Trace:
+    def record(self, capture: Capture) -> Trace:
         """Record several variables.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Scalar variables, or elements of arrays as ``name[k]``.
-        samples : int
-            Number of samples; see `capacity`.
-        every : int
-            Calls of the loop per sample.
-        slow : bool
-            Sample the slow loop instead of every PWM period.
-        start : callable, optional
-            Called when the recorder is armed; starts the process to be recorded.
-        trigger : str, optional
-            Variable: the first sample is the one at which it is above zero. On a serial line the call of `start` is
-            delayed by the recording time minus `lead`, so that the buffer is full before the trigger. By default the
-            recording begins before the call of `start`, on a serial line by up to 0.3 s.
-        lead : float, optional
-            Minimum time from the call of `start` to the trigger [s].
-        meanwhile : callable, optional
-            Called repeatedly, on a serial line about ten times a second, from before `start` until the samples have
-            been read. Its argument is True once the memory is full: from then on the motion of the axis does not affect
-            the recording, while reading the samples over a serial line can take seconds.
 
         Raises
         ------
@@ -127,7 +142,7 @@ class BoardAccess(BlockMemory, Protocol):
 
 
 def step_of(every: int, slow: bool) -> float:
-    """Sampling period of `BoardAccess.record` [s]."""
+    """Sampling period of a recorder [s]."""
     return every * PERIOD_NS * (SLOW_PERIODS if slow else 1) * 1e-9
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Final
 
 from servo_msgs_py.catalogue import axis_name
@@ -18,6 +19,7 @@ from servo_msgs_py.trace import Trace
 
 from servo_measurement.access import (
     BoardAccess,
+    Capture,
     MeasurementError,
     faults_refused,
     refuse_faults,
@@ -171,33 +173,20 @@ class AxisUnderTest:
             if flag.name in (names or _OTHER_MOTION):
                 raise MeasurementError(f"{self.name} is limited. {flag.name}: {flag.cause}. {flag.remedy}".rstrip(". "))
 
-    def record(
-        self,
-        columns: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        triggered: bool = True,
-        lead: float = 0.0,
-        meanwhile: Callable[[bool], None] = lambda full: None,
-    ) -> Trace:
-        """Record variables of the axis, if `triggered` from the start of a test signal on; see `BoardAccess.record`.
+    def record(self, capture: Capture) -> Trace:
+        """Record as `BoardAccess.record`, with the names of the capture without that of the axis.
 
         The set-point is rewritten during the recording; a fault is an error.
         """
 
         def supervise(full: bool) -> None:
-            meanwhile(full)
+            capture.meanwhile(full)
             self._refresh()
 
-        names = [f"{self.name}.{column}" for column in columns]
-        trigger = f"{self.name}.test_point" if triggered else None
+        names = [f"{self.name}.{column}" for column in capture.names]
+        trigger = capture.trigger and f"{self.name}.{capture.trigger}"
         with faults_refused(self.access, self.axis):
-            return self.access.record(
-                names, samples, every, slow, start, trigger=trigger, lead=lead, meanwhile=supervise
-            )
+            return self.access.record(replace(capture, names=names, trigger=trigger, meanwhile=supervise))
 
     # ---- standstill and outputs ------------------------------------------------------------------------------------
 

@@ -11,10 +11,10 @@ from servo_msgs_py.timed_points import POINTS_MEASURING, TimedPoint, encode_poin
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
+from servo_measurement.access import BoardAccess, Capture, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME, AxisUnderTest
 from servo_measurement.bode_plan import BASE_PART, SETTLE, Band, Settings
-from servo_measurement.test_signal import end_test_signal, start_test_signal
+from servo_measurement.test_signal import TRIGGER, end_test_signal, start_test_signal
 
 _TEST_TIME: Final = 5.0  # timeout for the start of mode TEST [s]
 _SEARCH_TIME: Final = 8.0  # timeout for the rotor search [s]
@@ -138,14 +138,8 @@ class BodeRig(AxisUnderTest):
             self.release()  # after its expiry a current still holds the rotor
             self.command("cmd.i_q", BASE_PART * self.access.read("param.i_q_limit")[self.axis])
             self._wait_for_standstill()
-        return self.record(
-            settings.columns if columns is None else columns,
-            band.samples,
-            band.every,
-            loop.slow,
-            start,
-            meanwhile=meanwhile,
-        )
+        names = settings.columns if columns is None else columns
+        return self.record(Capture(names, band.samples, band.every, loop.slow, start, TRIGGER, meanwhile=meanwhile))
 
     def _settle(self) -> None:
         """Wait for the constant speed."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +18,7 @@ import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
 
-from servo_measurement.access import BoardAccess, MeasurementError, step_of
+from servo_measurement.access import BoardAccess, Capture, MeasurementError
 
 FORMAT: Final = 1
 
@@ -39,7 +39,7 @@ class Call:
     """One call of a `BoardAccess`."""
 
     kind: str  # ``write``, ``wait`` or ``record``
-    arguments: tuple[Any, ...]  # of `BoardAccess.write_words`; seconds; of `BoardAccess.record` without ``start``
+    arguments: tuple[Any, ...]  # of `BoardAccess.write_words`; seconds; names, samples, every, slow, trigger
     inner: tuple[Call, ...] = ()  # calls made by ``start`` of a recording
     label: str = ""  # purpose of a recording
     stage: str = ""  # part of the measurement
@@ -121,8 +121,8 @@ def _seconds(call: Call) -> float:
         return float(call.arguments[0])
     inner = sum(map(_seconds, call.inner))
     if call.kind == "record":
-        _, samples, every, slow, _ = call.arguments
-        return max(inner, float(samples * step_of(every, slow)))
+        names, samples, every, slow, _ = call.arguments
+        return max(inner, Capture(names, samples, every, slow).seconds)
     return inner
 
 
@@ -183,18 +183,7 @@ class LoggedAccess(BoardAccess):
     def capacity(self, names: Sequence[str]) -> int:
         return self._access.capacity(names)
 
-    def record(
-        self,
-        names: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        trigger: str | None = None,
-        lead: float = 0.0,
-        meanwhile: Callable[[bool], None] | None = None,
-    ) -> Trace:
+    def record(self, capture: Capture) -> Trace:
         """Record with `label`, which applies to one recording; calls in `meanwhile` are not logged."""
         outer, label = self._calls, self.label
         inner: list[Call] = []
@@ -203,23 +192,20 @@ class LoggedAccess(BoardAccess):
         def logged_start() -> None:
             self._calls = inner
             try:
-                if start is not None:
-                    start()
+                capture.start()
             finally:
                 self._calls = outer
 
         def unlogged(full: bool) -> None:
             self._calls = []
             try:
-                if meanwhile is not None:
-                    meanwhile(full)
+                capture.meanwhile(full)
             finally:
                 self._calls = outer
 
-        recording = self._access.record(
-            names, samples, every, slow, logged_start, trigger=trigger, lead=lead, meanwhile=unlogged
-        )
-        outer.append(Call("record", (list(names), samples, every, slow, trigger), tuple(inner), label, self.stage))
+        recording = self._access.record(replace(capture, start=logged_start, meanwhile=unlogged))
+        arguments = (list(capture.names), capture.samples, capture.every, capture.slow, capture.trigger)
+        outer.append(Call("record", arguments, tuple(inner), label, self.stage))
         self.log.recordings.append(recording)
         return recording
 
@@ -264,4 +250,4 @@ def _repeat(call: Call, access: BoardAccess, recordings: list[Trace]) -> None:
             for one in call.inner:
                 _repeat(one, access, recordings)
 
-        recordings.append(access.record(names, samples, every, slow, start, trigger=trigger))
+        recordings.append(access.record(Capture(names, samples, every, slow, start, trigger)))

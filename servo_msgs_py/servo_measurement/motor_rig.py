@@ -15,13 +15,13 @@ from servo_tuning.errors import ConfigError, exactly, higher, lower
 from servo_tuning.formats import GAIN
 from servo_tuning.schema import BOARD_GROUPS
 
-from servo_measurement.access import MeasurementError, refuse_faults, send_configuration
+from servo_measurement.access import Capture, MeasurementError, refuse_faults, send_configuration
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import LoggedAccess
 from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted
 from servo_measurement.motor_values import Limits
 from servo_measurement.standstill import PERIOD
-from servo_measurement.test_signal import SweptSine, prepare_test_signal, start_test_signal
+from servo_measurement.test_signal import TRIGGER, SweptSine, prepare_test_signal, start_test_signal
 
 TICK: Final = 0.5e-3  # [s]
 PROTECTION: Final = "protection"
@@ -261,7 +261,7 @@ class MotorRig(AxisUnderTest):
         self.signal(point.upper(), amplitude, *_SWEEP_BAND, _SWEEP_CALLS * PERIOD)
         columns = (f"i_{point}", f"u_{point}", "test_signal")
         self.access.label = label
-        return self.record(columns, _SAMPLES, 1, False, partial(self.start_signal, point.upper()))
+        return self.record(Capture(columns, _SAMPLES, start=partial(self.start_signal, point.upper()), trigger=TRIGGER))
 
     def slow(
         self,
@@ -274,7 +274,10 @@ class MotorRig(AxisUnderTest):
     ) -> Trace:
         """A recording of the slow loop; with `start` it begins at a test signal, at least `lead` [s] later."""
         self.access.label = label
-        return self.record(columns, samples, every, True, start, triggered=start is not None, lead=lead)
+        capture = Capture(columns, samples, every, slow=True)
+        return self.record(
+            capture if start is None else dataclasses.replace(capture, start=start, trigger=TRIGGER, lead=lead)
+        )
 
     def moving(
         self,

@@ -8,6 +8,9 @@ from typing import Final
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
 
+TRIGGER: Final = "test_point"
+"""Variable of an axis that is above zero while its test signal is active."""
+
 FAST_POINTS: Final = ("I_D", "I_Q")
 """Inputs in the fast loop, called once per PWM period; the others are called once per slow tick."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -10,9 +10,9 @@ from servo_measurement.access import (
     RECORDER_BYTES,
     TRIGGER_TIMEOUT,
     BoardAccess,
+    Capture,
     MeasurementError,
     element_of,
-    step_of,
 )
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
@@ -71,55 +71,43 @@ class VirtualBoardAccess(BoardAccess):
         """Capacity of a real recorder, for identical measurements; `record` does not have this limit."""
         return RECORDER_BYTES // sum(element_of(self.catalogue, name)[0].element_size for name in names)
 
-    def record(
-        self,
-        names: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        trigger: str | None = None,
-        lead: float = 0.0,
-        meanwhile: Callable[[bool], None] | None = None,
-    ) -> Trace:
-        """Record in simulated time; parameters: see `BoardAccess.record`."""
+    def record(self, capture: Capture) -> Trace:
+        """Record in simulated time; see `BoardAccess.record`."""
+        names, trigger = capture.names, capture.trigger
+        needed = capture.samples * capture.every
         elements = [element_of(self.catalogue, name) for name in names]
         sampled = list(elements)
         if trigger is not None and trigger not in names:
             sampled.append(element_of(self.catalogue, trigger))
-        loop = step_of(1, slow)
+        loop = capture.step / capture.every
         wait = 0.0 if trigger is None else _START_TIME + TRIGGER_TIMEOUT
-        capacity = samples * every + round((wait + _TRIGGER_POLL) / loop) + 1
+        capacity = needed + round((wait + _TRIGGER_POLL) / loop) + 1
         try:
-            self.board.sample(_SLOW if slow else _FAST, sampled, capacity)
+            self.board.sample(_SLOW if capture.slow else _FAST, sampled, capacity)
         except BoardError as error:
             raise MeasurementError(str(error)) from None
         try:
-            if start is not None:
-                start()
-            if trigger is not None and len(self.board.sampled()) + samples * every > capacity:
+            capture.start()
+            if trigger is not None and len(self.board.sampled()) + needed > capacity:
                 raise MeasurementError(f"starting the motion took longer than {_START_TIME:g} s")
             first = (
                 0
                 if trigger is None
                 else self._first_triggered(names.index(trigger) if trigger in names else len(elements))
             )
-            while (missing := first + samples * every - len(self.board.sampled())) > 0:
+            while (missing := first + needed - len(self.board.sampled())) > 0:
                 self.board.run(min(missing * loop, _CALLBACK_INTERVAL))
-                if meanwhile is not None:
-                    meanwhile(False)
-            points = self.board.sampled()[first : first + samples * every : every]
+                capture.meanwhile(False)
+            points = self.board.sampled()[first : first + needed : capture.every]
         finally:
             self.board.end_sampling()
-        if meanwhile is not None:
-            meanwhile(True)
+        capture.meanwhile(True)
         fields = points.dtype.names or ()
         columns = {
             name: points[field].astype(np.float64) * variable.lsb
             for name, field, (variable, _) in zip(names, fields, elements, strict=False)
         }
-        return Trace(step_of(every, slow), columns)
+        return Trace(capture.step, columns)
 
     def _first_triggered(self, column: int) -> int:
         """Run until the variable of a column is above zero; returns the index of this sample."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from servo_measurement.access import (
     RECORDER_BYTES,
+    Capture,
     MeasurementError,
     faults_refused,
     refuse_faults,
@@ -42,11 +43,11 @@ def test_values_are_si_and_elements_are_written_separately(access: VirtualBoardA
 
 
 def test_samples_have_the_requested_period(access: VirtualBoardAccess) -> None:
-    recording = access.record(["tick"], 50, 4, slow=False)
+    recording = access.record(Capture(["tick"], 50, 4, slow=False))
     assert recording.step == pytest.approx(4 * PERIOD_NS * 1e-9)
     assert np.diff(recording["tick"]).tolist() == [4.0] * 49
     assert recording.time[-1] == pytest.approx(49 * recording.step)
-    recording = access.record(["tick", "u_dc"], 20, 3, slow=True)
+    recording = access.record(Capture(["tick", "u_dc"], 20, 3, slow=True))
     assert np.diff(recording["tick"]).tolist() == [3.0 * SLOW_PERIODS] * 19
     assert recording["u_dc"].mean() == pytest.approx(24.0, abs=1.0)
 
@@ -56,16 +57,18 @@ def test_recording_starts_at_its_trigger(access: VirtualBoardAccess) -> None:
         access.wait(0.0)
         access.write("cmd.enable", [1.0], 0)
 
-    recording = access.record(["tick", "axis1.event_state"], 10, 1, slow=True, start=start, trigger="axis1.event_state")
+    recording = access.record(
+        Capture(["tick", "axis1.event_state"], 10, 1, slow=True, start=start, trigger="axis1.event_state")
+    )
     event = recording["axis1.event_state"]
     assert event[0] > 0.0
     assert access.capacity(["tick", "axis1.event_state"]) == RECORDER_BYTES // 6
     with pytest.raises(MeasurementError, match="no trigger within"):
-        access.record(["tick"], 10, 1, slow=True, trigger="axis2.event_mode")
+        access.record(Capture(["tick"], 10, 1, slow=True, trigger="axis2.event_mode"))
     with pytest.raises(MeasurementError, match="write one element"):
-        access.record(["cmd.i_q"], 10, 1, slow=True)
+        access.record(Capture(["cmd.i_q"], 10, 1, slow=True))
     with pytest.raises(MeasurementError, match="is not a variable"):
-        access.record(["axis3.i_q"], 10, 1, slow=True)
+        access.record(Capture(["axis3.i_q"], 10, 1, slow=True))
 
 
 def test_event_of_a_command_is_at_the_tick_of_its_effect(access: VirtualBoardAccess) -> None:
@@ -73,7 +76,9 @@ def test_event_of_a_command_is_at_the_tick_of_its_effect(access: VirtualBoardAcc
     speed = access.catalogue.enums["control_mode_t"]["SPEED"]
     names = ["tick", "axis2.event_mode", "axis2.mode"]
     recording = access.record(
-        names, 10, 1, slow=False, start=lambda: access.write("cmd.mode", [speed], 1), trigger="axis2.event_mode"
+        Capture(
+            names, 10, 1, slow=False, start=lambda: access.write("cmd.mode", [speed], 1), trigger="axis2.event_mode"
+        )
     )
     assert recording["tick"][0] == access.board.read_raw("applied_tick")[0]
     assert recording["axis2.mode"].tolist() == [speed] * 10
@@ -81,9 +86,15 @@ def test_event_of_a_command_is_at_the_tick_of_its_effect(access: VirtualBoardAcc
 
 def test_first_fault_is_at_the_tick_of_its_record(access: VirtualBoardAccess) -> None:
     recording = access.record(
-        ["tick", "axis1.first_fault"], 10, 1, slow=False, start=lambda: access.board.set_supply(36.0),
-        trigger="axis1.first_fault",
-    )  # fmt: skip
+        Capture(
+            ["tick", "axis1.first_fault"],
+            10,
+            1,
+            slow=False,
+            start=lambda: access.board.set_supply(36.0),
+            trigger="axis1.first_fault",
+        )
+    )
     assert set(recording["axis1.first_fault"]) == {access.catalogue.flag("faults", "OVER_VOLTAGE").mask.bit_length()}
     record = fault_record(access.board, 0)
     assert 0 <= recording["tick"][0] - record.tick <= 1
@@ -94,7 +105,7 @@ def test_fault_is_reported_with_its_remedy(access: VirtualBoardAccess) -> None:
     access.board.connect_encoder(0, False)
     access.write("cmd.enable", [1.0], 0)
     with pytest.raises(MeasurementError, match=r"axis1 has a fault\. \w+: .+\. .+"), faults_refused(access, 0):
-        access.record(["tick"], 1000, 8, slow=True)
+        access.record(Capture(["tick"], 1000, 8, slow=True))
     refuse_faults(access, 1)
 
 

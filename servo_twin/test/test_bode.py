@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pytest
-from servo_measurement.access import MeasurementError, send_configuration
+from servo_measurement.access import Capture, MeasurementError, send_configuration
 from servo_measurement.bode import Bode, measure
 from servo_measurement.bode_plan import LOOPS, BodeRequest
 from servo_measurement.bode_report import as_dict, draw, text
@@ -244,8 +245,8 @@ def test_varying_speed_of_the_shaft_is_an_error(access: VirtualBoardAccess) -> N
 class Computing(VirtualBoardAccess):
     """A host that computes for longer than the time-out of the set-points after each recording."""
 
-    def record(self, *args: Any, **options: Any) -> Trace:
-        recording = super().record(*args, **options)
+    def record(self, capture: Capture) -> Trace:
+        recording = super().record(capture)
         self.board.run(0.8)
         return recording
 
@@ -258,8 +259,7 @@ def test_a_current_that_expires_between_two_recordings_still_holds_the_rotor(acc
 class EndedSignal(VirtualBoardAccess):
     """A board that ends a test signal half-way."""
 
-    def record(self, *args: Any, **options: Any) -> Trace:
-        meanwhile: Callable[[bool], None] = options["meanwhile"]
+    def record(self, capture: Capture) -> Trace:
         calls = 0
 
         def ending(full: bool) -> None:
@@ -267,9 +267,9 @@ class EndedSignal(VirtualBoardAccess):
             calls += 1
             if calls == 5:
                 end_test_signal(self, 0)
-            meanwhile(full)
+            capture.meanwhile(full)
 
-        return super().record(*args, **options | {"meanwhile": ending})
+        return super().record(replace(capture, meanwhile=ending))
 
 
 def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) -> None:

@@ -8,11 +8,10 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from servo_measurement.access import MeasurementError, step_of
+from servo_measurement.access import Capture, MeasurementError
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_test import MotorTest
@@ -171,16 +170,14 @@ class _Watched(VirtualBoardAccess):
         self._meanwhile(self)
         self._advance(seconds)
 
-    def record(self, names: Sequence[str], samples: int, every: int, slow: bool, *args: Any, **options: Any) -> Trace:
-        attended: Callable[[bool], None] = options["meanwhile"]
-
+    def record(self, capture: Capture) -> Trace:
         def pass_time(seconds: float, full: bool) -> None:
             for _ in range(round(seconds / 0.08) if self._slow else 0):
                 self._advance(0.08)
-                attended(full)
+                capture.meanwhile(full)
 
-        pass_time(0.2 + (samples * step_of(every, slow) if options.get("trigger") else 0.0), False)
-        recording = super().record(names, samples, every, slow, *args, **options)
+        pass_time(0.2 + (capture.seconds if capture.trigger else 0.0), False)
+        recording = super().record(capture)
         pass_time(0.7, True)  # samples are read
         return recording
 
