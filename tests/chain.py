@@ -266,6 +266,7 @@ class User:
             ("/servo/snapshot", Float64MultiArray, deep),
             ("/servo/commands_applied", Float64MultiArray, deep),
             ("/servo/state", String, latched),
+            ("/servo/link", DiagnosticStatus, latched),
             ("/servo/armed", Bool, latched),
             ("/twin/joint_states", JointState, deep),
             ("/twin/residual", JointState, deep),
@@ -312,7 +313,12 @@ class User:
 
     def connected(self) -> bool:
         """True if the bridge is discovered and connected to its board."""
-        return self.matched() and "=" in self.last("/servo/state")
+        return self.matched() and self.link_level() == DiagnosticStatus.OK
+
+    def link_level(self) -> bytes:
+        """Level of the last message on whether a board is connected; STALE before the first one."""
+        levels = [message.level for message in self.messages["/servo/link"][-1:]]
+        return bytes(levels[0]) if levels else DiagnosticStatus.STALE
 
     def call(self, client: Any, request: Any) -> tuple[bool, str]:
         future = client.call_async(request)

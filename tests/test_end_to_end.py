@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from chain import Chain, Process, User, followed_board, ros_user, wait_for
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp, snapshot_table
 from servo_msgs_py.runtime.qos import command_qos, latched_qos
@@ -339,7 +340,7 @@ class TestTrouble:
         go(user, TURN, -TURN)
         user.until(lambda: user.last("/twin/healthy") is True, 20.0)
         running_chain.board.kill()
-        user.until(lambda: user.last("/servo/state").startswith("DISCONNECTED"))
+        user.until(lambda: user.link_level() == DiagnosticStatus.ERROR)
         user.until(lambda: user.last("/servo/armed") is False)
         user.until(lambda: user.last("/twin/healthy") is False)
         user.until(lambda: user.status("servo/servo_bridge: link").level == b"\x02")
@@ -368,7 +369,7 @@ class TestTrouble:
         user.until(lambda: user.position_of(0) > start + TURN, 5.0)
         assert running_chain.bridge.stop(signal.SIGINT) == 0
         user.until(lambda: user.last("/servo/armed") is False)
-        user.until(lambda: user.last("/servo/state").startswith("DISCONNECTED"))
+        user.until(lambda: user.link_level() == DiagnosticStatus.ERROR)
         user.until(lambda: user.last("/twin/healthy") is False)
         seen = chain.read_variables("axis1.state", "axis2.state", "cmd.enable", "axis1.faults")
         assert seen["cmd.enable"] == [0, 0]

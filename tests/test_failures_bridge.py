@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import pytest
 from chain import Cable, Chain, Process, User, ros_user
+from diagnostic_msgs.msg import DiagnosticStatus
 from line_simulation import BAUDS
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import Client
@@ -359,7 +360,7 @@ class TestRows:
                 assert fault_names(reader.rows[-1]) == [["HOST_SILENT"]] * 2
                 assert_host_silent_in_time(reader, reader.rows[-1]["applied_tick"])
                 stopped = reader.read_snapshot()
-            rig.user.until(lambda: rig.user.last("/servo/state").startswith("DISCONNECTED"))
+            rig.user.until(lambda: rig.user.link_level() == DiagnosticStatus.ERROR)
             assert rig.user.last("/servo/armed") is False
             first = rig.last_snapshot_index() + 1
         finally:
@@ -458,7 +459,7 @@ class TestRows:
     def test_board_power_cycled(self, rig: Rig) -> None:
         rig.start_turning()
         rig.board.kill()
-        rig.user.until(lambda: rig.user.last("/servo/state").startswith("DISCONNECTED"))
+        rig.user.until(lambda: rig.user.link_level() == DiagnosticStatus.ERROR)
         assert rig.user.last("/servo/armed") is False
         first = rig.last_snapshot_index() + 1
         rig.chain.port.unlink()

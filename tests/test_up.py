@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from chain import DOMAIN, ros_user
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
@@ -239,7 +240,7 @@ def test_parameters_and_plant_are_passed_and_ctrl_c_ends_all_processes(started: 
     up = Up(tmp_path, *options, "--plant", str(plant))
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
-    assert "bridge connected" in up.text()
+    assert "servo_bridge: connected" in up.text()
     assert "/servo/axis1/position" in up.text()
     children = descendants(up.mark)
     for name, argument in (("virtual_board", str(plant)), ("servo_twin", f'plant:="{plant}"')):
@@ -255,7 +256,7 @@ def test_parameters_and_plant_are_passed_and_ctrl_c_ends_all_processes(started: 
         user.joint_commands.publish(JointState(name=BOTH, position=[300.0, -300.0]))
         user.until(lambda: user.position_of(0) > 10.0)
         up.process.send_signal(signal.SIGINT)
-        user.until(lambda: user.last("/servo/state").startswith("DISCONNECTED"))
+        user.until(lambda: user.link_level() == DiagnosticStatus.ERROR)
         assert user.last("/servo/armed") is False
     assert up.process.wait(30.0) == 0
     assert left_behind(up.mark) == []

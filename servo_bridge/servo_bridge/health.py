@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from servo_msgs_py.board_parameters import RawParameters, si
 from servo_msgs_py.board_storage import Storage
 from servo_msgs_py.catalogue import Catalogue, axis_name
-from servo_msgs_py.convert import diagnostic_status, flag_texts
+from servo_msgs_py.convert import FAULTS, NO_FAULT, diagnostic_status, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.value_text import value_text
 
@@ -191,7 +191,7 @@ class Health:
         level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
-        values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
+        values |= {key: "; ".join(texts) or NO_FAULT for key, texts in ((FAULTS, faults), ("limits", limits))}
         if (home := snapshot.values.get(f"{prefix}.home_state")) is not None:
             values["home state"] = self._catalogue.label("home_state_t", int(home)).lower()
         if (pins := snapshot.values.get(f"{prefix}.inputs")) is not None:

@@ -25,6 +25,7 @@ from servo_msgs_py.convert import diagnostic_array
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.node_shell import full_name
+from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 from std_srvs.srv import SetBool, Trigger
@@ -379,6 +380,7 @@ class Supervisor:
         self._status = status
         if status.state is LinkState.CONNECTED:
             self._log.info(str(status))
+            notify(status.reason, ready=True)
             self._dispatcher.open(_STOP_AT_CONNECTION)
             self._read_nominal_values()
             self._tuning.connected()

@@ -310,7 +310,9 @@ class Rig:
         self.link.set_states(*(states or (STOP, STOP)))
         self.link.connect()
         self.link.sample()
-        self.until(lambda: "=" in self.state())
+        before = len(self.messages[topics.STATE])
+        self.until(lambda: self.messages[topics.LINK] and self.messages[topics.LINK][-1].level == DiagnosticStatus.OK)
+        self.until(lambda: len(self.messages[topics.STATE]) > before)
 
     def enable_axes(self) -> None:
         """Connect and enable, with both axes in RUN/SPIN."""

@@ -273,6 +273,13 @@ def flag_texts(catalogue: Catalogue, flags: str, raw: int) -> list[str]:
     ]
 
 
+FAULTS: Final = "faults"
+"""Key of the faults in the diagnostic status of a joint."""
+
+NO_FAULT: Final = "none"
+"""Its value without a fault."""
+
+
 def diagnostic_status(
     name: str, level: bytes, message: str, hardware_id: str, values: Mapping[str, object]
 ) -> DiagnosticStatus:

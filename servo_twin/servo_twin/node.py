@@ -34,6 +34,7 @@ from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
+from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64, Float64MultiArray, Int64MultiArray, String
@@ -303,6 +304,7 @@ class ServoTwin(Node):
                 self._diagnosis.interrupt()
             text = f"following {self._board_namespace}, synchronisation {self._synchronisation}"
             self._log.info(text, throttle_duration_sec=1.0)
+            notify(text, ready=True)
         if pairs:
             with self._lock:
                 self._compared = True

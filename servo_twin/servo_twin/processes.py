@@ -6,6 +6,7 @@ import contextlib
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,9 +15,11 @@ from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
+from servo_msgs_py.runtime.notify import SOCKET
 
 _POLL: Final = 0.05  # [s]
 _TERM_TIMEOUT: Final = 8.0  # from SIGTERM to SIGKILL [s]
+_DATAGRAM_MAX: Final = 4096  # [bytes]
 
 
 class ChildError(RuntimeError):
@@ -48,7 +51,7 @@ def executable(name: str) -> Path:
 
 
 class Child:
-    """A process in its own process group, with its output in a log file.
+    """A process in its own process group, with its output in a log file; its notices (`notify`) are received.
 
     Parameters
     ----------
@@ -65,6 +68,11 @@ class Child:
     def __init__(self, name: str, command: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
         self.name = name
         self.log = log
+        self.ready = False  # whether it has reported so
+        self._notices = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._notices.setblocking(False)
+        self._notices.bind(b"")  # Linux chooses an unused abstract address
+        address = "@" + self._notices.getsockname()[1:].decode()
         with log.open("wb") as output:
             try:
                 self._process = subprocess.Popen(
@@ -72,7 +80,7 @@ class Child:
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
-                    env=dict(environment),
+                    env={**environment, SOCKET: address},
                     start_new_session=True,
                 )
             except OSError as error:
@@ -89,6 +97,16 @@ class Child:
     @property
     def exit_status(self) -> int | None:
         return self._process.poll()
+
+    def notices(self) -> list[str]:
+        """Texts that the process has sent since the last call."""
+        texts: list[str] = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                lines = self._notices.recv(_DATAGRAM_MAX).decode("utf-8", "replace").splitlines()
+                self.ready = self.ready or "READY=1" in lines
+                texts += [line.removeprefix("STATUS=") for line in lines if line.startswith("STATUS=")]
+        return texts
 
     def text(self) -> str:
         """Complete output."""
@@ -125,6 +143,7 @@ class Child:
             orderly = False
         self.kill()
         self._process.wait()
+        self._notices.close()
         return orderly
 
 

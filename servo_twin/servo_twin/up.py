@@ -10,13 +10,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import re
 import shlex
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -39,7 +37,6 @@ _ANNOUNCE: Final = 0.2  # interval of the messages about the processes [s]
 _PICTURE, _RECORDING, _FIGURES = "demo.png", "demo.rrd", "demo.json"  # results of the demonstration
 _RANGE, _LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 _DOMAIN_MAX: Final = 232  # higher domain ids exceed the range of UDP ports
-_WARNING: Final = "virtual_board: warning:"
 
 _HOW_TO: Final = """
 With ROS 2 (in another terminal{domain}):
@@ -112,16 +109,6 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-@dataclass(frozen=True)
-class _Expected:
-    """Output of a child that is announced."""
-
-    child: Child
-    pattern: re.Pattern[str]  # its first group is announced
-    done: str  # text before that
-    missing: str  # text as long as it is missing
-
-
 class Stack:
     """The processes of one session, in a private folder for the virtual serial port.
 
@@ -138,8 +125,7 @@ class Stack:
         self._log = out / "log"
         self._log.mkdir(parents=True, exist_ok=True)
         self.children: list[Child] = []
-        self._expected: list[_Expected] = []
-        self._warnings = 0
+        self._missing: dict[Child, str] = {}
 
     def start(self, name: str, *arguments: str) -> Child:
         """Start an executable of this project.
@@ -153,34 +139,29 @@ class Stack:
         self.children.append(child)
         return child
 
-    def expect(self, child: Child, pattern: str, done: str, missing: str) -> None:
-        """Have `announce` print `done` and what matches, when a child has printed the pattern."""
-        self._expected.append(_Expected(child, re.compile(pattern), done, missing))
+    def expect(self, child: Child, missing: str) -> None:
+        """Have `announce` wait until a child is ready; `missing` says what has not happened until then."""
+        self._missing[child] = missing
 
     def announce(self) -> bool:
-        """Print what has happened since the last call; True if nothing is missing any more."""
-        for one in tuple(self._expected):
-            if match := one.pattern.search(one.child.text()):
-                _print(f"{one.done}{match.group(1)}")
-                self._expected.remove(one)
-        return not self._expected
+        """Print what the processes have sent since the last call; True if all that are expected to be are ready."""
+        for child in self.children:
+            for text in child.notices():
+                _print(f"{child.name}: {text}")
+        return all(child.ready for child in self._missing)
 
     def missing(self) -> list[str]:
         """What has not happened yet, with the last output of the process."""
-        return [f"{one.missing}. Last output ({one.child.log}):\n{one.child.last_output(3)}" for one in self._expected]
+        return [
+            f"{text}. Last output ({child.log}):\n{child.last_output(3)}"
+            for child, text in self._missing.items()
+            if not child.ready
+        ]
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
         """Wait for a condition as long as all children run; say from time to time that it is missing."""
         while not wait_until(condition, self.children, _PATIENCE):
             _print(f"waiting for {what} ...")
-
-    def print_warnings(self) -> None:
-        """Print the last new warning of the virtual board (machine too slow)."""
-        texts = [child.text() for child in self.children if child.name == "virtual_board"]
-        lines = [line for text in texts for line in text.splitlines() if line.startswith(_WARNING)]
-        for line in lines[self._warnings :][-1:]:
-            _print(line)
-        self._warnings = max(self._warnings, len(lines))
 
     def stop(self) -> list[str]:
         """Stop the bridge, which switches the outputs off, then the others; returns the names of killed processes."""
@@ -250,15 +231,12 @@ def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Pat
     files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
     given = {name: path.absolute() for name, path in files.items() if path}
     twin = stack.start("servo_twin", *parameter_arguments(seed=args.seed + 1, **given))
-    stack.expect(bridge, r"(connected to .*)", "bridge ", f"bridge: no board on {port} yet, it goes on trying")
-    stack.expect(twin, r"(following \S+),", "twin: ", "twin: no data of the board yet")
+    stack.expect(bridge, f"no board on {port} yet, the bridge goes on trying")
+    stack.expect(twin, "the twin has no data of the board yet")
     web = not (args.no_web or args.demo)
     if web or record:
         viewer = stack.start("servo_viewer", *parameter_arguments(record=record or "", web=web))
-        if web:
-            stack.expect(viewer, r"(http://\S+)", "viewer: ", "viewer: not started yet")
-        if record:
-            stack.expect(viewer, r"recording to (.*)", "recording to ", "viewer: no recording yet")
+        stack.expect(viewer, "the viewer has not started yet")
 
 
 def _wait_for_stop(stack: Stack, args: argparse.Namespace) -> NoReturn:
@@ -271,7 +249,6 @@ def _wait_for_stop(stack: Stack, args: argparse.Namespace) -> NoReturn:
     while True:
         wait_until(lambda: False, stack.children, 1.0)
         stack.announce()
-        stack.print_warnings()
 
 
 def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
@@ -286,7 +263,6 @@ def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
             stack.announce()
         return int(demo.returncode)
     finally:
-        stack.print_warnings()
         if demo.poll() is None:
             demo.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):

@@ -19,10 +19,11 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
+from servo_msgs_py.convert import FAULTS, NO_FAULT, applied_from_message, from_stamp, snapshot_table
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import destroyed_on_error, run
+from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64MultiArray, String
@@ -99,10 +100,11 @@ class ServoViewer(Node):
             except WebPageError:
                 recording.close()
                 raise
-        if path is not None:
-            print(f"recording to {path}", flush=True)
+        outputs = [f"recording to {path}"] if path is not None else []
         if self._page is not None:
-            print(f"viewer on this machine: {self._page.url}", flush=True)
+            outputs.append(f"viewer on this machine: {self._page.url}")
+        print(*outputs, sep="\n", flush=True)
+        notify(", ".join(outputs), ready=True)
         return recording
 
     def _port(self, name: str, exclude: int | None = None) -> int:
@@ -196,6 +198,8 @@ class ServoViewer(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         stamp = from_stamp(message.header.stamp)
         for status in message.status:
+            if any(entry.key == FAULTS and entry.value != NO_FAULT for entry in status.values):
+                continue  # the telemetry has them
             self._viewer.diagnosis(stamp, status.name, status.level[0], status.message)
 
     def _on_diagnosis(self, message: DiagnosticArray) -> None:

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Protocol
 
+from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.program import complain, deferred, program
 
 from servo_msgs_py import argument
@@ -310,10 +311,12 @@ def slip_reporter(level: Level, clock_ns: Callable[[], int] = time.monotonic_ns)
         if passed_s < FIRST_REPORT_S or (slipped_s > 0.0 and passed_s < REPORT_INTERVAL_S):
             return
         factor = max(1.0 - (pacer.slipped_s - slipped_s) / passed_s, 0.0)
-        complain(
-            f"virtual_board: warning: the machine is too slow for a board at level {level}: time runs at"
+        text = (
+            f"the machine is too slow for a board at level {level}: time runs at"
             f" {factor:.2f} of its speed (last {passed_s:.1f} s); {_slips(pacer)}"
         )
+        complain(f"virtual_board: warning: {text}")
+        notify(text)
         last_ns, slipped_s = clock_ns(), pacer.slipped_s
 
     return report

@@ -22,7 +22,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
+from servo_msgs_py.convert import FAULTS, diagnostic_array, diagnostic_status, joint_state, snapshot_message
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
@@ -213,7 +213,10 @@ def test_published_data_are_in_the_file_after_sigterm(start: Start, robot: Robot
     rest = [[*row[:1], 0.5 if k < 60 else float("nan"), *row[2:]] for k, row in enumerate(points)]
     robot.publish("/twin/residual/recording", snapshot_message(names, rest))
     trouble = diagnostic_status("servo_bridge: link", DiagnosticStatus.WARN, "2 timeouts", "board", {})
-    robot.publish("/diagnostics", diagnostic_array(stamp(EVERY, robot.start_ns), [trouble]))
+    faulted = diagnostic_status(
+        "servo_bridge: left", DiagnosticStatus.ERROR, "known", "board", {FAULTS: "OVER_CURRENT"}
+    )
+    robot.publish("/diagnostics", diagnostic_array(stamp(EVERY, robot.start_ns), [faulted, trouble]))
     burst, burst_of_twin, burst_residual = (
         scene.burst_entity("axis1.i_a", source) for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)
     )

@@ -237,10 +237,9 @@ def _set_low_latency(port: Any, url: str) -> LowLatency:
 
 def _explain(url: str, baud: int, error: BaseException) -> PortError:
     """Reason and remedy for an error of the operating system."""
-    code = error.errno if isinstance(error, OSError) else None
-    text = str(error)
+    code, text = _code(error), str(error)
     if isinstance(error, ValueError):
-        if "protocol" in text or "URL" in text:
+        if "://" in url and baud > 0:  # the protocol is checked after the rate
             return PortError(
                 f"{url!r} is not a port",
                 "use a device such as /dev/ttyUSB0, or a pyserial URL such as socket://host:port",
@@ -258,11 +257,19 @@ def _explain(url: str, baud: int, error: BaseException) -> PortError:
         return PortError(f"another program uses {url}", "stop it, or use another port")
     if not _is_character_device(url):
         return PortError(f"{url} is not a serial port", _known_ports())
-    if code in (errno.ENXIO, errno.ENODEV, errno.EIO) or "Input/output error" in text:
+    if code in (errno.ENXIO, errno.ENODEV, errno.EIO):
         return PortError(f"no device at {url}", "plug the adapter in again, or use another port", missing=True)
-    if "Inappropriate ioctl" in text or code in (errno.ENOTTY, errno.EINVAL):
+    if code in (errno.ENOTTY, errno.EINVAL):
         return PortError(f"{url} is not a serial port", _known_ports())
     return PortError(f"{url} cannot be opened ({text})", "plug the adapter in again, or use another port")
+
+
+def _code(error: BaseException) -> int | None:
+    """Number of an error of the operating system; pyserial raises errors of termios anew, without their number."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno
+    source = error if isinstance(error, termios.error) else error.__context__
+    return int(source.args[0]) if isinstance(source, termios.error) else None
 
 
 def _is_character_device(path: str) -> bool:

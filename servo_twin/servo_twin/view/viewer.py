@@ -382,7 +382,7 @@ class Viewer:
         now = level, _NUMBER.sub("#", message) if level else ""
         before = self._diagnoses.get(name, (0, ""))
         self._diagnoses[name] = now
-        if now != before and not self._known(message):
+        if now != before:
             self._log("diagnostics", self._time.of_stamp(stamp_ns), _LEVELS[min(level, 3)], f"{name}: {message}")
 
     def _changes(self, stamp_ns: int, found: Sequence[str], estimates: Mapping[str, Mapping[str, float]]) -> None:
@@ -403,11 +403,6 @@ class Viewer:
         }
         if points:
             self._curves[scene.ESTIMATE].add(np.array([moment]), points)
-
-    def _known(self, message: str) -> bool:
-        """True if a text consists of faults that the telemetry has already reported."""
-        texts = {text for word in self._faults for text in flag_texts(self._catalogue, "faults", word)}
-        return bool(texts) and set(message.split("; ")) <= texts
 
     def _log(self, source: str, moment: float, level: str, text: str) -> None:
         self._recording.text(source, moment, level, text)
