@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import json
+import re
 import signal
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +22,7 @@ from servo_twin.board import Board
 from servo_twin.cli import main
 from servo_twin.identification.trials import TARGETS
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import ServoConfig, servo_table
 
 from servo_bridge import tool_identify
 
@@ -56,6 +59,16 @@ def _identify(board: Board, folder: Path, line: SimulatedLine | None = None) -> 
     args = parser.parse_args(["--voltage", "24", "--current", "4", "--r-on", "0.03", "--out", str(folder)])
     context: Any = argparse.Namespace(args=args, session=session, catalogue=session.catalogue)
     return tool_identify.identify(context)
+
+
+def test_a_board_with_other_pins_requires_its_own_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = copy.deepcopy(dict(servo_table()))
+    table["axis1"]["pins"] = {"brake": True}
+    with Board(level="ideal", baud=BAUD, seed=4, servo=ServoConfig.of_table(table)) as board:
+        assert _identify(board, tmp_path) == 1
+    assert re.search(
+        r"axis1 of the board has another pins\.fitted than .*servo\.toml; write --config", capsys.readouterr().err
+    )
 
 
 def test_identification_over_a_line_writes_the_files(

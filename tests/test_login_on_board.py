@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from servo_bridge.freemaster.frames import encode_request, encode_uleb
 from servo_msgs_py.text_file import read_toml
+from servo_tuning.reading import SERVO_TOML
 from servo_twin.board import Board
-from servo_twin.servo_config import SERVO_TOML, ServoConfig
+from servo_twin.servo_config import ServoConfig
 
 PASSWORDS = {"command": b"drive", "tune": b"gains"}
 NEEDED, OK = 0x91, 0x00

@@ -10,9 +10,10 @@ import pytest
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.text_file import read_toml
 from servo_msgs_py.units import PERIOD_NS
+from servo_tuning.reading import SERVO_TOML
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
-from servo_twin.servo_config import SERVO_TOML, ServoConfig
+from servo_twin.servo_config import ServoConfig
 from servo_twin.validation.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
 
 LIMIT: Final = 1.0

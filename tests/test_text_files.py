@@ -13,11 +13,11 @@ from servo_bridge.description import description_from_file
 from servo_bridge.trajectory.files import read_waypoints
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.text_file import TextFileError, decoded, parse_json, parse_toml
-from servo_tuning.reading import load
+from servo_tuning.reading import SERVO_TOML, load
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.plant import PlantConfig
-from servo_twin.servo_config import SERVO_TOML, servo_table
+from servo_twin.servo_config import servo_table
 
 from servo_bridge import parameter_file
 

@@ -111,7 +111,8 @@ def test_file_is_shown_compared_sent_and_read_back(
 
     back = tmp_path / "back.toml"
     assert bench.tool("tune", "--from-board", "-o", back) == 0
-    assert "psi_m = 0.012 " in back.read_text(encoding="utf-8")
+    assert "psi_m 0.012 V s" in back.read_text(encoding="utf-8")
+    assert bench.tool("tune", back, "--diff") == 0
     assert bench.tool("tune", CONFIG) == 0
     assert bench.raw("config.checksum") == own
     assert bench.tool("tune", back) == 0

@@ -16,25 +16,28 @@ from servo_measurement.estimation import estimates_of
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_test import MotorTest
 from servo_measurement.motor_values import UNITS, Limits
-from servo_msgs_py.axis_config import AxisConfigError
+from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
-from servo_msgs_py.catalogue import AXES, numbers
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.runtime.program import Interrupted, complain, deferred
-from servo_msgs_py.text_file import TextFileError, parse_toml, read_toml
+from servo_msgs_py.text_file import TextFileError, read_toml
 from servo_msgs_py.units import PERIOD_NS
 from servo_tuning.errors import ConfigError
+from servo_tuning.reading import SERVO_TOML
 
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.measurement_access import measurement_access
 from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.block_session import BlockSession
-from servo_bridge.tuning.plan import file_of, read_blocks
+from servo_bridge.tuning.plan import computed, read_blocks
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
 _OUT: Final = Path("out/identify")
 _RECORDING: Final = "measurement.npz"
+_MACHINE: Final = ("pins.", "stop.disable", "stop.quick_stop", "stop.shorted", "stop.ramp", "stop.hold", "heat.")
+"""Members that depend on the machine and not on its motor."""
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -53,7 +56,10 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--r-on", type=float, default=0.0, help="on resistance of a switch [ohm]; if omitted it is part of r_s"
     )
     command.add_argument(
-        "--config", type=Path, metavar="FILE", help="servo.toml with all other entries (default: from the board)"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="servo.toml with all other entries (default: the one of the checkout)",
     )
     command.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
 
@@ -103,17 +109,32 @@ def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, in
 
 def _base(context: Context) -> dict[str, Any]:
     """Parsed configuration with all other entries."""
-    if context.args.config is not None:
-        try:
-            return read_toml(context.args.config)
-        except TextFileError as error:
-            raise UsageError(f"{context.args.config}: {error}") from None
-    blocks = list(read_blocks(BlockSession(context.session)).values())
-    variables = context.session.variables
-    host, command = (
-        numbers(context.session.read(variables[name]))[0] for name in ("param.host_timeout", "param.command_timeout")
-    )
-    return parse_toml(file_of(blocks, (host, command), context.catalogue))
+    path = context.args.config or SERVO_TOML
+    if not path.is_file():
+        raise UsageError(f"no such file: {path}; write --config with the servo.toml of this board")
+    try:
+        table = read_toml(path)
+    except TextFileError as error:
+        raise UsageError(f"{path}: {error}") from None
+    if context.args.config is None:
+        _refuse_other_machine(context, path)
+    return table
+
+
+def _refuse_other_machine(context: Context, path: Path) -> None:
+    """Refuse a file that nobody has chosen for this board if the board has other pins or stops."""
+    blocks = computed(path, context.catalogue).blocks
+    for axis, block in read_blocks(BlockSession(context.session)).items():
+        other = [
+            member.name
+            for member in AxisConfigTable.load().changes(block, blocks[axis])
+            if member.name.startswith(_MACHINE)
+        ]
+        if other:
+            raise ConfigError(
+                f"{axis_name(axis)} of the board has another {', '.join(other)} than {path}; "
+                "write --config with the servo.toml of this board"
+            )
 
 
 def _twin_installed() -> bool:

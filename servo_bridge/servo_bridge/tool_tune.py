@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_blocks
-from servo_msgs_py.catalogue import AXES, numbers
+from servo_msgs_py.catalogue import AXES
+from servo_tuning.board_file import text_of
 from servo_tuning.errors import ConfigError
 
 from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.block_session import BlockSession
-from servo_bridge.tuning.plan import Plan, computed, file_of, read_blocks
+from servo_bridge.tuning.plan import HEADING, Plan, computed, read_blocks
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -27,7 +28,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     mode = command.add_mutually_exclusive_group()
     mode.add_argument("--dry-run", action="store_true", help="print the changes, send nothing")
     mode.add_argument("--diff", action="store_true", help="compare only; exit status 1 if file and board differ")
-    mode.add_argument("--from-board", action="store_true", help="write the configuration of the board as such a file")
+    mode.add_argument("--from-board", action="store_true", help="write the members of the board, in SI units")
     command.add_argument(
         "-o", "--output", metavar="FILE.toml", help="file to write with --from-board (default: print it)"
     )
@@ -55,19 +56,13 @@ def tune(context: Context) -> int:
 
 
 def _from_board(context: Context, memory: BlockSession) -> int:
-    blocks = list(read_blocks(memory).values())
-    timeouts = (_parameter(context, "param.host_timeout"), _parameter(context, "param.command_timeout"))
-    text = file_of(blocks, timeouts, context.catalogue)
+    text = text_of(list(read_blocks(memory).values()), HEADING)
     if context.args.output:
         Path(context.args.output).write_text(text, encoding="utf-8")
         print(f"wrote {context.args.output}")
     else:
         print(text, end="")
     return 0
-
-
-def _parameter(context: Context, name: str) -> float:
-    return numbers(context.session.read(context.session.variables[name]))[0]
 
 
 def _to_board(context: Context, memory: BlockSession) -> int:

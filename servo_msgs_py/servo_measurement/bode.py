@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
-from servo_tuning.configuration import Board as BoardValues
 
 from servo_measurement.access import BoardAccess, MeasurementError
 from servo_measurement.bode_plan import (
@@ -88,8 +87,6 @@ def measure(
     ------
     MeasurementError
         If the measurement is not possible; undetermined figures are not an error.
-    ConfigError
-        If no configuration corresponds to the one of the board, so that there is no prediction.
     """
     settings, prediction, bands = complete_settings(access, request)
     refuse_settings(access, settings, bands)
@@ -105,7 +102,7 @@ def measure(
             if not settings.loop.slow:
                 progress("voltage", done, total)
                 recording = rig.recorded(band, 0.0, _VOLTAGE)
-                _refuse_voltage(access, settings.axis, prediction.it.board, recording)
+                _refuse_voltage(access, settings.axis, prediction, recording)
             for repeat in range(repeats):
                 progress(f"{band.f_min:.3g} .. {band.f_max:.3g} Hz", done + repeat, total)
                 # Return towards the initial position, so that the travel does not accumulate.
@@ -189,13 +186,13 @@ def _refuse_short_signal(settings: Settings, signals: NDArray[np.float64]) -> No
             )
 
 
-def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recording: Trace) -> None:
+def _refuse_voltage(access: BoardAccess, axis: int, prediction: Prediction, recording: Trace) -> None:
     """Raise an error if the voltage reaches its limit, where a current loop is nonlinear."""
     d, q = (recording[f"{axis_name(axis)}.{column}"] for column in _VOLTAGE)
     word = int(access.read("param.features")[axis])
-    limit = board.voltage_max
+    limit = prediction.voltage_max
     if any(flag.name == "BUS_COMPENSATION" for flag in access.catalogue.active("features", word)):
-        limit *= access.read("u_dc")[0] / board("nominal_voltage")
+        limit *= access.read("u_dc")[0] / prediction.value("u_dc_nominal")
     maximum = float(np.hypot(d, q).max())
     if maximum >= _LIMIT_PART * limit:
         raise MeasurementError(

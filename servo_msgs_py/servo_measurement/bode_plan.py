@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
+from servo_tuning.loops import TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
 from servo_measurement.prediction import Prediction, predict
@@ -313,8 +314,7 @@ def notes(settings: Settings, prediction: Prediction) -> list[str]:
         return []
     if settings.speed == 0.0:
         return ["measured at standstill: friction and infrequent encoder edges affect the result; use --speed"]
-    board = prediction.it.board
-    resolution = abs(settings.speed) / (board("timer_clock") * board.tick)
+    resolution = abs(settings.speed) / (prediction.timer_clock * TICK)
     if (
         settings.loop.name == "speed"
         and not prediction.observed

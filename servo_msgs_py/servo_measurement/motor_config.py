@@ -11,6 +11,7 @@ from typing import Any, Final
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_tuning.braking import BUS_END
 from servo_tuning.errors import ConfigError, Remedy, with_value
+from servo_tuning.members import MEMBERS
 from servo_tuning.reading import parse
 from servo_tuning.rotor_search import SALIENT_USE
 from servo_tuning.tuned import Tuned, tuned
@@ -71,7 +72,7 @@ def configured(
     table = copy.deepcopy(dict(base))
     board, own = table["board"], table.setdefault(axis_name(axis), {})
     board.update(_supply(board, limits.voltage))
-    own.pop("exact", None)  # raw numbers of another motor
+    own.pop(MEMBERS, None)  # of another motor
     for group in (own, table.get("defaults", {})):
         group.get("winding", {}).pop("thermal_resistance", None)  # derived from the rated current
     current = limits.current

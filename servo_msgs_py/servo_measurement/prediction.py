@@ -1,69 +1,77 @@
-"""Prediction of a loop of a board by the tuning code: same model and margins as in its report."""
+"""Prediction of a loop from the configuration block of a board: same model and margins as in the report of `tune`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
-from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_tuning.control_loops import ControlLoops, control_loops
 from servo_tuning.linear import Margins, Omega, margins
-from servo_tuning.loops import In, Out, ShaftLoops
-from servo_tuning.reading import parse
-from servo_tuning.restore import restore_table
+from servo_tuning.loops import PERIOD, TICK, In, Out, ShaftLoops
 from servo_tuning.sensors import EdgeDelay, edge_delay
-from servo_tuning.tuned import Tuned, tuned
 
 from servo_measurement.access import BoardAccess
 
 _GRID: Final = 200
-_TIMEOUTS: Final = (0.5, 0.5)
-"""Of the host and of commands [s]; required in a configuration, but without effect on gains."""
-
-
-def tuned_of_blocks(access: BoardAccess, axis: int, blocks: Sequence[Mapping[str, int]]) -> Tuned:
-    """Gains and nominal values of configuration blocks; a `ConfigError` if no configuration corresponds to them."""
-    configuration = parse(restore_table(blocks, _TIMEOUTS, access.catalogue), access.catalogue)
-    return tuned(configuration.axes[axis], configuration)
-
-
-def tuned_of_board(access: BoardAccess, axis: int) -> Tuned:
-    """Gains and nominal values of the active configuration of a board; see `tuned_of_blocks`."""
-    return tuned_of_blocks(access, axis, [read_block(access, number) for number in range(AXES)])
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Model of an open loop by the tuning code."""
+    """Model of an open loop."""
 
-    it: Tuned  # gains and nominal values
+    block: Mapping[str, int]  # configuration of the axis, raw numbers by member
     loop: str  # ``current``, ``current_d``, ``speed`` or ``position``
     speed: float  # of the shaft [rad/s], for the measurement delay of the M/T method; 0: edges are frequent
     observed: bool  # whether the speed observer is on
 
+    @cached_property
+    def loops(self) -> ControlLoops:
+        """Gains and nominal motor of the block."""
+        return control_loops(self.block)
+
+    def value(self, path: str) -> float:
+        """Value of a member of the block, in its unit."""
+        return AxisConfigTable.load().value(path, self.block)
+
+    @property
+    def timer_clock(self) -> float:
+        """Clock of the timers that measure the edges of the encoder [Hz]."""
+        full_speed = Catalogue.load().scales["speed"].full_scale
+        assert full_speed is not None
+        return self.value("mt_speed.speed_per_ratio") * full_speed * COUNTS_PER_TURN / (2.0 * math.pi)
+
+    @property
+    def voltage_max(self) -> float:
+        """Largest stator voltage at the nominal bus voltage [V]."""
+        return 2.0 / 3.0 * self.value("current_loop.modulation_limit") * self.value("u_dc_nominal")
+
     @property
     def nyquist(self) -> float:
         """Highest frequency [Hz]."""
-        step = self.it.board.period if self.loop.startswith("current") else self.it.board.tick
-        return 0.5 / step
+        return 0.5 / (PERIOD if self.loop.startswith("current") else TICK)
 
     @property
     def _shaft(self) -> ShaftLoops:
-        return self.it.shaft(observed=self.observed)
+        return self.loops.shaft(observed=self.observed)
 
     @property
     def _delay(self) -> EdgeDelay | None:
         if self.observed or self.speed == 0.0:
             return None
-        return edge_delay(self.it.axis("encoder.lines"), self.it.board.tick, abs(self.speed))
+        return edge_delay(COUNTS_PER_TURN / 4.0, TICK, abs(self.speed))
 
     def _open(self, omega: Omega) -> NDArray[np.complex128]:
         if self.loop.startswith("current"):
-            return self.it.current_loop("d" if self.loop == "current_d" else "q").open.response(omega)
+            return self.loops.current_loop("d" if self.loop == "current_d" else "q").open.response(omega)
         if self.loop == "speed":
             return self._shaft.speed_open(omega, self._delay)
         return self._shaft.position_open(omega)
@@ -99,13 +107,7 @@ class Prediction:
 
 
 def predict(access: BoardAccess, axis: int, loop: str, speed: float) -> Prediction:
-    """Model of a loop of a board, with its configuration and its features.
-
-    Raises
-    ------
-    ConfigError
-        If no configuration corresponds to the one of the board.
-    """
+    """Model of a loop of a board, with its configuration and its features."""
     word = int(access.read("param.features")[axis])
     observed = any(flag.name == "SPEED_OBSERVER" for flag in access.catalogue.active("features", word))
-    return Prediction(tuned_of_board(access, axis), loop, speed, observed)
+    return Prediction(read_block(access, axis), loop, speed, observed)

@@ -85,6 +85,10 @@ class AxisConfigTable:
     def __len__(self) -> int:
         return len(self.members)
 
+    def value(self, path: str, block: Mapping[str, int]) -> float:
+        """Value of a member of a block, in its unit."""
+        return float(self.members[path].scale(block[path]))
+
     def check(self, block: Mapping[str, int]) -> None:
         """Check that the board accepts the block.
 

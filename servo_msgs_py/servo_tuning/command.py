@@ -20,11 +20,9 @@ from servo_tuning.constants import time_outs
 from servo_tuning.errors import ConfigError
 from servo_tuning.passwords import password_constants
 from servo_tuning.picture import draw
-from servo_tuning.reading import load
+from servo_tuning.reading import SERVO_TOML, load
 from servo_tuning.report import as_dict, axis_reports, text
 from servo_tuning.source import c_source
-
-FOLDER: Final = Path(__file__).resolve().parents[2] / "firmware" / "config"
 
 _ABOUT: Final = """\
 Tune the two axes: convert motor data, inertia and bandwidths of a configuration (servo.toml) to the integers of the
@@ -46,14 +44,14 @@ def parser() -> argparse.ArgumentParser:
     common.add_argument(
         "--config",
         type=Path,
-        default=FOLDER / "servo.toml",
+        default=SERVO_TOML,
         metavar="FILE",
         help="configuration (default: %(default)s)",
     )
     verbs = result.add_subparsers(dest="verb", required=True, metavar="COMMAND")
     about = "write the C file of the firmware (the default command)"
     generate = verbs.add_parser("generate", parents=[common], help=about, description=about)
-    target = FOLDER / "servo_config_gen.c"
+    target = SERVO_TOML.with_name("servo_config_gen.c")
     generate.add_argument("--output", type=Path, default=target, metavar="FILE", help="C file (default: %(default)s)")
     generate.add_argument("--check", action="store_true", help="compare only, write nothing")
     generate.set_defaults(run=_generate)

@@ -7,10 +7,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_tuning.errors import ConfigError, Remedy, refused
+from servo_tuning.members import MEMBERS, read_members
+from servo_tuning.motor import Motor
 from servo_tuning.passwords import password_entries
 from servo_tuning.schema import (
     AXIS_GROUPS,
@@ -121,7 +122,7 @@ class Axis:
     inherited: frozenset[str]  # entries that come from [defaults]
     feedback: str  # source of angle and speed after reset, ``encoder`` or ``observer``
     pins: Mapping[str, bool]  # which of `PINS` are fitted
-    exact: Mapping[str, int] = field(default_factory=dict)
+    members: Mapping[str, int] = field(default_factory=dict)
     """Raw numbers of members of the configuration block, by C path, that replace the computed ones."""
 
     def __call__(self, path: str) -> float:
@@ -149,9 +150,15 @@ class Axis:
         return replace(remedy, entry=f"{self.name}.{remedy.entry}", whole=AXIS_GROUPS[group][key].whole)
 
     @property
+    def motor(self) -> Motor:
+        """The motor with its shaft."""
+        entries = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia")
+        return Motor(**{key: self(f"motor.{key}") for key in entries}, viscous=self("friction.viscous"))
+
+    @property
     def torque_constant(self) -> float:
         """Torque per q current at ``i_d = 0`` [N m/A]."""
-        return 1.5 * self("motor.pole_pairs") * self("motor.psi_m")
+        return self.motor.torque_constant
 
     @property
     def counts(self) -> float:
@@ -174,17 +181,17 @@ class Axis:
         groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
         inherited: set[str] = set()
         feedback = FEEDBACKS[0]
-        exact: dict[str, int] = {}
+        members: dict[str, int] = {}
         for owner in ("defaults", name):
             for group, value in check_table(owner, table.get(owner, {})).items():
                 if group == "feedback":
                     feedback = _feedback(f"{owner}.feedback", value)
                     continue
-                if group == "exact":
-                    exact |= _exact(f"{owner}.exact", value)
+                if group == MEMBERS:
+                    members |= read_members(f"{owner}.{MEMBERS}", value)
                     continue
                 if group not in groups:
-                    raise unknown_name(f"{owner}.{group}", group, (*groups, "feedback", "exact"))
+                    raise unknown_name(f"{owner}.{group}", group, (*groups, "feedback", MEMBERS))
                 entries = check_table(f"{owner}.{group}", value)
                 groups[group].update(entries)
                 paths = {f"{group}.{key}" for key in entries}
@@ -202,21 +209,7 @@ class Axis:
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, stops, origin, feedback, pins, exact)
-
-
-def _exact(where: str, value: object) -> dict[str, int]:
-    members = AxisConfigTable.load().members
-    found = check_table(where, value)
-    for path, raw in found.items():
-        if path not in members:
-            raise unknown_name(f"{where}.{path}", path, members)
-        if isinstance(raw, bool) or not isinstance(raw, int) or not members[path].accepts(raw):
-            low, high = members[path].raw_range
-            raise refused(
-                f"{where}.{path}", repr(raw), "not accepted by a board", f"write an integer in {low} .. {high}"
-            )
-    return dict(found)
+        return cls(name, checked, features, stops, origin, feedback, pins, members)
 
 
 def _feedback(where: str, value: object) -> str:

@@ -13,14 +13,21 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-from servo_tuning.configuration import Axis, Board
 from servo_tuning.gains import Gains, Pi
 from servo_tuning.linear import Margins, Matrix, Omega, System, held, margins
+from servo_tuning.motor import Motor
 from servo_tuning.sensors import EdgeDelay, SpeedSensor
+
+PERIOD: Final = PERIOD_NS * 1e-9
+"""Period of the fast loop [s]."""
+TICK: Final = PERIOD * SLOW_PERIODS
+"""Period of the slow loop [s]."""
 
 
 @dataclass(frozen=True)
@@ -88,26 +95,23 @@ class Out(IntEnum):
 class ShaftLoops:
     """Speed and position loop around the q current loop of one axis."""
 
-    axis: Axis  # of the configuration
-    board: Board  # of the configuration
+    motor: Motor  # with the inertia of the shaft
     gains: Gains  # after rounding to integers
     back_emf: float  # gain of the back-EMF decoupling [V s/rad]
-    inertia: float  # of the shaft [kg m^2]; may differ from the nominal inertia
     sensor: SpeedSensor  # source of the speed
 
     def _motor(self) -> tuple[Matrix, Matrix]:
         """Motor over half a PWM period: states current, speed, angle; inputs voltage, load torque."""
-        r, l_q = self.axis("motor.r_s"), self.axis("motor.l_q")
-        k_t, psi = self.axis.torque_constant, self.axis("motor.pole_pairs") * self.axis("motor.psi_m")
+        it = self.motor
         a = np.array(
             [
-                [-r / l_q, -psi / l_q, 0.0],
-                [k_t / self.inertia, -self.axis("friction.viscous") / self.inertia, 0.0],
+                [-it.r_s / it.l_q, -it.pole_pairs * it.psi_m / it.l_q, 0.0],
+                [it.torque_constant / it.inertia, -it.viscous / it.inertia, 0.0],
                 [0.0, 1.0, 0.0],
             ]
         )
-        b = np.array([[1.0 / l_q, 0.0], [0.0, -1.0 / self.inertia], [0.0, 0.0]])
-        return held(a, b, 0.5 * self.board.period)
+        b = np.array([[1.0 / it.l_q, 0.0], [0.0, -1.0 / it.inertia], [0.0, 0.0]])
+        return held(a, b, 0.5 * PERIOD)
 
     @cached_property
     def open(self) -> System:
@@ -117,19 +121,18 @@ class ShaftLoops:
         movement and current set-point of the last slow period, states of the sensor.
         """
         f, g = self._motor()
-        tick, pi, gains = self.board.tick, self.gains.current_q, self.gains.speed
-        periods = round(tick / self.board.period)
+        pi, gains = self.gains.current_q, self.gains.speed
 
         def step(x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
             angle, speed, current, voltage, integral, speed_integral, moved, reference = x[:8]
             injected, set_point, load = u
-            measured, sensor = self.sensor.step(x[8:], moved, reference, tick)
+            measured, sensor = self.sensor.step(x[8:], moved, reference, TICK)
             # The integral part uses the counted movement, not the measured speed.
-            speed_integral = speed_integral + gains.ki * (set_point - moved / tick)
+            speed_integral = speed_integral + gains.ki * (set_point - moved / TICK)
             proportional = gains.kp * (set_point - measured)
             outputs = np.vstack([proportional + speed_integral, proportional, measured, speed, angle])
             motor = np.vstack([current, speed, np.zeros_like(angle)])
-            for _ in range(periods):
+            for _ in range(SLOW_PERIODS):
                 inputs = np.vstack([voltage, load])
                 motor = f @ motor + g @ inputs
                 current_error = injected - motor[0]
@@ -141,7 +144,7 @@ class ShaftLoops:
             states = (angle + movement, speed, current, voltage, integral, speed_integral, movement, injected)
             return np.vstack([*states, *sensor]), outputs
 
-        return System.of(step, 8 + self.sensor.states, len(In), tick)
+        return System.of(step, 8 + self.sensor.states, len(In), TICK)
 
     @cached_property
     def speed(self) -> System:
@@ -174,8 +177,8 @@ class ShaftLoops:
 
     def speed_margins(self, delay: EdgeDelay | None = None) -> Margins:
         """Margins of the speed loop; `delay` as in `speed_open`."""
-        return margins(lambda omega: self.speed_open(omega, delay), math.pi / self.board.tick)
+        return margins(lambda omega: self.speed_open(omega, delay), math.pi / TICK)
 
     def position_margins(self) -> Margins:
         """Margins of the position loop."""
-        return margins(self.position_open, math.pi / self.board.tick)
+        return margins(self.position_open, math.pi / TICK)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue
-from servo_msgs_py.text_file import TextFileError, parse_toml, read_text
+from servo_msgs_py.text_file import TextFileError, parse_toml, read_toml
 
 from servo_tuning.checks import check
 from servo_tuning.configuration import Axis, Board, Configuration, Scales
 from servo_tuning.errors import ConfigError, remedies_tried
 from servo_tuning.schema import unknown_name
+
+SERVO_TOML: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
+"""File of the checkout; missing in an installed package."""
 
 
 def load(path: Path, catalogue: Catalogue) -> Configuration:
@@ -25,11 +28,23 @@ def load(path: Path, catalogue: Catalogue) -> Configuration:
     OSError
         If it cannot be read.
     """
+    return parse(read_table(path), catalogue)
+
+
+def read_table(path: Path) -> dict[str, Any]:
+    """Parsed file.
+
+    Raises
+    ------
+    ConfigError
+        If it is not valid TOML.
+    OSError
+        If it cannot be read.
+    """
     try:
-        text = read_text(path)
+        return read_toml(path)
     except TextFileError as error:
         raise ConfigError(str(error)) from None
-    return loads(text, catalogue)
 
 
 def loads(text: str, catalogue: Catalogue) -> Configuration:

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from servo_tuning.block import block_of, constants_of
-from servo_tuning.configuration import Axis, Board, Configuration, Scales
-from servo_tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
+from servo_tuning.configuration import Axis, Board, Configuration
+from servo_tuning.constants import axis_constants
+from servo_tuning.control_loops import ControlLoops, control_loops, pi_of
 from servo_tuning.conversion import AxisConstants, Converter, PiRaw
 from servo_tuning.errors import ConfigError, lower, remedies_tried
-from servo_tuning.formats import FRAC32, GAIN
-from servo_tuning.gains import Gains, Pi
+from servo_tuning.gains import Gains
 from servo_tuning.linear import spectral_radius
-from servo_tuning.loops import CurrentLoop, ShaftLoops
+from servo_tuning.loops import ShaftLoops
 from servo_tuning.optional import PARTS, SENSORLESS, SPEED_OBSERVER
 from servo_tuning.sensorless import Sensorless
 from servo_tuning.sensorless_constants import used_observer, used_pll
-from servo_tuning.sensors import MtSpeed, Observer, PllSpeed
+from servo_tuning.sensors import PllSpeed
 
 
 class GainRow(NamedTuple):
@@ -33,16 +32,13 @@ class GainRow(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Tuned:
+class Tuned(ControlLoops):
     """One axis with its gains and integers."""
 
     axis: Axis  # of the configuration
     board: Board  # of the configuration
     designed: Gains  # before rounding to integers
-    used: Gains  # after rounding to integers
     constants: AxisConstants  # the integers
-    back_emf: float  # gain of the back-EMF decoupling after rounding [V s/rad]
-    observer: Observer  # the speed observer after rounding
     used_sensorless: Sensorless | None  # observer of the back-EMF, PLL and start-up after rounding; None: unusable
     designed_sensorless: Sensorless | None  # the same before rounding
     unusable: Mapping[str, ConfigError]  # parts of `PARTS` that the axis does not use and that cannot work: reason
@@ -92,37 +88,13 @@ class Tuned:
         yield GainRow("sensorless speed Kp", "A s/rad", designed.speed.kp, used.speed.kp, speed.kp)
         yield GainRow("sensorless speed Kp Ki Ts", "A s/rad", designed.speed.ki, used.speed.ki, speed.ki)
 
-    def current_loop(self, which: str) -> CurrentLoop:
-        """Current loop of the ``d`` or ``q`` axis."""
-        gains = self.used.current_d if which == "d" else self.used.current_q
-        return CurrentLoop(self.axis("motor.r_s"), self.axis(f"motor.l_{which}"), gains, self.board.period)
-
-    @property
-    def observed(self) -> bool:
-        """Whether the speed observer is on after reset."""
-        return self.axis.features["speed_observer"]
-
-    def shaft(self, inertia: float = 1.0, observed: bool | None = None) -> ShaftLoops:
-        """Models of speed and position loop.
-
-        Parameters
-        ----------
-        inertia : float
-            Inertia of the shaft, over the nominal value.
-        observed : bool
-            True: with the speed observer; False: with the M/T method; None: as after reset.
-        """
-        sensor = self.observer if (self.observed if observed is None else observed) else MtSpeed()
-        whole = inertia * self.axis("motor.inertia")
-        return ShaftLoops(self.axis, self.board, self.used, self.back_emf, whole, sensor)
-
     def sensorless_shaft(self, speed: float, inertia: float = 1.0) -> ShaftLoops:
         """Sensorless speed loop at a mechanical speed [rad/s]; `inertia` as in `shaft`."""
         pll = self.sensorless.pll
         omega_n = pll.omega_n(self.axis("motor.pole_pairs") * speed)
         sensor = PllSpeed(omega_n, pll.damping, pll.acceleration, pll.load, *pll.size_gains(self.board.tick))
         gains = replace(self.used, speed=self.sensorless.speed)
-        return ShaftLoops(self.axis, self.board, gains, self.back_emf, inertia * self.axis("motor.inertia"), sensor)
+        return ShaftLoops(self.with_inertia(inertia), gains, self.back_emf, sensor)
 
 
 def tuned(axis: Axis, configuration: Configuration) -> Tuned:
@@ -151,20 +123,28 @@ def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, Conf
     """Compute gains and integers of one axis without the optional parts that are unstable."""
     designed, constants, unusable = integers(axis, configuration, unstable)
     sensorless = None if SENSORLESS in unusable else Sensorless.of(axis, configuration.board)
-    block = {**block_of(constants, axis.name), **axis.exact}
+    block = {**block_of(constants, axis.name), **axis.members}
     constants = constants_of(block, constants)
-    used = _Used(constants, configuration.scales)
     return Tuned(
+        **vars(control_loops(block, axis.motor)),
         axis=axis,
         board=configuration.board,
         designed=designed,
-        used=used.gains(axis, configuration.board),
         constants=constants,
-        back_emf=GAIN.scale(used.integer("current_loop.omega_psi")) * used.scales.u_s / used.scales.speed,
-        observer=used.observer(axis, configuration.board),
-        used_sensorless=used.sensorless(axis, configuration.board, sensorless) if sensorless else None,
+        used_sensorless=sensorless and _used_sensorless(block, constants, sensorless, axis, configuration),
         designed_sensorless=sensorless,
         unusable=unusable,
+    )
+
+
+def _used_sensorless(
+    block: Mapping[str, int], constants: AxisConstants, design: Sensorless, axis: Axis, configuration: Configuration
+) -> Sensorless:
+    return Sensorless(
+        observer=used_observer(constants, design.observer, configuration.scales),
+        pll=used_pll(constants, axis, configuration.board, configuration.scales),
+        start_up=design.start_up,
+        speed=pi_of(block, "observed_speed"),
     )
 
 
@@ -198,51 +178,6 @@ def integers(
                 unusable[name] = reason
         constants |= part.off
     return designed, constants, unusable
-
-
-@dataclass(frozen=True)
-class _Used:
-    """Conversion of the integers to SI units."""
-
-    constants: AxisConstants
-    scales: Scales
-
-    def integer(self, field: str) -> int:
-        raw = self.constants[field]
-        assert isinstance(raw, int), field
-        return raw
-
-    def pi(self, field: str, scale: float) -> Pi:
-        raw = self.constants[field]
-        assert isinstance(raw, PiRaw), field
-        return Pi(GAIN.scale(raw.kp) * scale, GAIN.scale(raw.ki) * scale, GAIN.scale(raw.kc))
-
-    def gains(self, axis: Axis, board: Board) -> Gains:
-        s = self.scales
-        per_count = FRAC32.scale(self.integer("position_gain")) * s.speed
-        return Gains(
-            current_d=self.pi("current_loop.d", s.u_s / s.i),
-            current_q=self.pi("current_loop.q", s.u_s / s.i),
-            speed=self.pi("speed", s.i / s.speed),
-            position=per_count * axis.counts / (2.0 * math.pi),
-            path_omega_n=PATH_OMEGA.scale(self.integer("path_omega_n_ts")) / board.tick,
-        )
-
-    def observer(self, axis: Axis, board: Board) -> Observer:
-        position, speed, acceleration = (
-            GAIN.scale(self.integer(f"speed_observer.l_{of}")) for of in ("position", "speed", "acceleration")
-        )
-        per_amp = OBSERVER.scale(self.integer("speed_observer.acceleration_per_current")) / self.scales.i
-        torque = per_amp / board.tick**2 * 2.0 * math.pi / axis.counts
-        return Observer(torque, position, speed, acceleration)
-
-    def sensorless(self, axis: Axis, board: Board, design: Sensorless) -> Sensorless:
-        return Sensorless(
-            observer=used_observer(self.constants, design.observer, self.scales),
-            pll=used_pll(self.constants, axis, board, self.scales),
-            start_up=design.start_up,
-            speed=self.pi("observed_speed", self.scales.i / self.scales.speed),
-        )
 
 
 def _refuse_unstable(design: Tuned) -> None:

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
@@ -15,13 +15,10 @@ from servo_tuning.braking import brake_constants
 from servo_tuning.configuration import Configuration
 from servo_tuning.constants import time_outs
 from servo_tuning.passwords import password_hashes
-from servo_tuning.reading import parse
+from servo_tuning.reading import SERVO_TOML, parse
 from servo_tuning.tuned import tuned
 
 from servo_twin.board_memory import SimulationError
-
-SERVO_TOML: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
-"""File of the checkout; missing in an installed package."""
 
 
 @dataclass(frozen=True)

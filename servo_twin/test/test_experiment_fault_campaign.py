@@ -7,9 +7,10 @@ import random
 
 import pytest
 from servo_msgs_py.text_file import parse_toml, read_toml
+from servo_tuning.reading import SERVO_TOML
 from servo_twin.fault_injection import OpenPhase
 from servo_twin.plant import PlantConfig
-from servo_twin.servo_config import SERVO_TOML, as_toml
+from servo_twin.servo_config import as_toml
 from servo_twin.validation.experiments.campaign_faults import (
     INJECTED_FAULTS,
     NO_FAULT,

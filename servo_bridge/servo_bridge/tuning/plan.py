@@ -10,16 +10,15 @@ from servo_msgs_py.axis_config import AxisConfigTable, Member
 from servo_msgs_py.axis_config_transfer import BlockMemory, read_block, send_block
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.table_text import aligned
-from servo_tuning.reading import load
+from servo_tuning.board_file import blocks_of
+from servo_tuning.reading import parse, read_table
 from servo_tuning.report import axis_reports
-from servo_tuning.restore import restore_table, toml_text
 
 Block = Mapping[str, int]
 
-_HEADING: Final = """\
-Read back from a board by `servo-tool tune --from-board`; `servo-tool tune` computes the same numbers from it.
-rotor_inertia and rated_speed are not stored on a board; they are used in a report only. [board.brake] and
-[board.regeneration] are compiled into the firmware; `make generate` needs both."""
+HEADING: Final = """\
+Configuration of a board, in SI units; written by `servo-tool tune --from-board`, sent by `servo-tool tune FILE`."""
+"""First line of a file of the blocks of a board."""
 
 
 class Computed(NamedTuple):
@@ -30,7 +29,7 @@ class Computed(NamedTuple):
 
 
 def computed(path: Path, catalogue: Catalogue) -> Computed:
-    """Compute the blocks of a configuration file.
+    """Blocks of a configuration file, or of a file of the blocks of a board.
 
     Raises
     ------
@@ -39,13 +38,11 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
     OSError
         If the file cannot be read.
     """
-    reports = axis_reports(load(path, catalogue))
+    table = read_table(path)
+    if (blocks := blocks_of(table)) is not None:
+        return Computed(blocks, [()] * len(blocks))
+    reports = axis_reports(parse(table, catalogue))
     return Computed([report.tuned.block for report in reports], [report.findings for report in reports])
-
-
-def file_of(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> str:
-    """Text of the file that gives these blocks and timeouts [s]; see `servo_tuning.restore.restore_table`."""
-    return toml_text(restore_table(blocks, timeouts, catalogue), _HEADING)
 
 
 def read_blocks(memory: BlockMemory, axes: Collection[int] = range(AXES)) -> dict[int, Block]:

@@ -16,6 +16,7 @@ from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_values import Limits
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_tuning.reading import SERVO_TOML
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -27,7 +28,7 @@ from servo_twin.identification.trials import Trial, Trials, summary
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
-from servo_twin.servo_config import SERVO_TOML, servo_table
+from servo_twin.servo_config import servo_table
 from servo_twin.simulation import SimulationError
 
 _HELP: Final = """\

@@ -7,14 +7,13 @@ stays at zero until the controller has compensated the error; about 60 mA are lo
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
+from servo_tuning.control_loops import control_loops
 
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.plant_limits import nominal_tuning
+from servo_twin.validation.experiments.plant_limits import built_in_block
 from servo_twin.validation.experiments.rig import COUNT, TICK
 
 
@@ -52,11 +51,11 @@ def response(
     plant, axis, position, heavier
         See `displacement`.
     """
-    tuning, inertia = nominal_tuning(axis).axis, plant.axes[axis].inertia
-    speed_loop = 2.0 * math.pi * tuning("control.speed_bandwidth")
-    corner = speed_loop / tuning("control.speed_ratio")
-    bandwidth = speed_loop / heavier
-    gain = tuning("control.position_gain") if position else 0.0
+    loops, inertia = control_loops(built_in_block(axis)), plant.axes[axis].inertia
+    gains = loops.used.speed
+    corner = gains.ki / (gains.kp * TICK)
+    bandwidth = gains.kp * loops.motor.torque_constant / loops.motor.inertia / heavier
+    gain = loops.used.position if position else 0.0
     speed = position_error = integral = 0.0
     displacements: list[float] = []
     for torque in torques:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from servo_measurement.prediction import tuned_of_board
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_tuning.tuned import Tuned
 
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
@@ -66,20 +66,20 @@ class Demand:
 
 
 @functools.cache
-def nominal_tuning(axis: int) -> Tuned:
-    """Gains and nominal values of an axis in the built-in configuration of the firmware."""
+def built_in_block(axis: int) -> Mapping[str, int]:
+    """Configuration block of an axis that is compiled into the firmware, raw numbers by member."""
     with Board(level="ideal") as board:
-        return tuned_of_board(VirtualBoardAccess(board), axis)
+        return read_block(VirtualBoardAccess(board), axis)
 
 
 def over_voltage() -> float:
     """Over-voltage limit of the drive [V]."""
-    return nominal_tuning(0).board("over_voltage")
+    return AxisConfigTable.load().value("u_dc_max", built_in_block(0))
 
 
 def modulation() -> float:
     """Largest phase voltage of the drive relative to the bus voltage."""
-    return nominal_tuning(0).board("voltage_use") / math.sqrt(3.0)
+    return 2.0 / 3.0 * AxisConfigTable.load().value("current_loop.modulation_limit", built_in_block(0))
 
 
 def nominal_shafts(plant: PlantConfig, seed: int) -> tuple[NominalShaft, ...]:

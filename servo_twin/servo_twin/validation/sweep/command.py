@@ -17,13 +17,14 @@ from typing import Any, Final
 
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.runtime.program import Interrupted
+from servo_tuning.reading import SERVO_TOML
 
 from servo_msgs_py import argument
 from servo_twin import board as board_module
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
-from servo_twin.servo_config import SERVO_TOML, servo_table
+from servo_twin.servo_config import servo_table
 from servo_twin.validation.experiments.report import table
 from servo_twin.validation.sweep.files import draw, write_csv, write_parquet
 from servo_twin.validation.sweep.space import METHODS, SYNTAX, Space, SpaceError, Varied

@@ -9,13 +9,14 @@ from typing import Any, Final
 
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_tuning.reading import SERVO_TOML
 from tqdm import tqdm
 
 from servo_msgs_py import argument
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
-from servo_twin.servo_config import SERVO_TOML, as_toml, servo_table
+from servo_twin.servo_config import as_toml, servo_table
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.sweep.robust import Candidates, Objective, Score, front, search
 from servo_twin.validation.sweep.space import SYNTAX, Space, SpaceError, Varied
