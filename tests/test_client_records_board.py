@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from line_simulation import LineSimulation
-from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import Recording
 from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.wire.session import Session, connect
+from servo_msgs_py.trace import Trace
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def sim() -> Iterator[LineSimulation]:
     sim.close()
 
 
-def recorded(sim: LineSimulation, session: Session, request: BurstRequest, current: float) -> Burst:
+def recorded(sim: LineSimulation, session: Session, request: BurstRequest, current: float) -> Trace:
     """Record, with a current set-point after the recorder has run for some time."""
     start = sim.now
     recording = Recording(request, sim.board.catalogue, clock=lambda: sim.now)
@@ -45,9 +45,9 @@ def test_a_step_of_the_current_is_recorded_around_its_trigger(sim: LineSimulatio
     names = ("tick", "axis1.i_q_ref", "axis1.i_q", "axis2.i_q")
     request = BurstRequest(names, trigger="axis1.i_q_ref > 0.5", before=Before(part=0.3), points=200, rate=8000.0)
     burst = recorded(sim, session, request, 1.0)
-    tick, reference, i_q, other = burst.values
-    assert [channel.head for channel in burst.channels][1:3] == ["axis1.i_q_ref [A]", "axis1.i_q [A]"]
-    assert burst.times == pytest.approx((np.arange(200) - 60) * 125e-6)
+    tick, reference, i_q, other = burst.columns.values()
+    assert [burst.head(name) for name in burst.columns][1:3] == ["axis1.i_q_ref [A]", "axis1.i_q [A]"]
+    assert burst.time == pytest.approx((np.arange(200) - 60) * 125e-6)
     assert set(np.diff(tick.astype(np.int64))) == {2}
     assert reference[59] <= 0.5 < reference[60]
     assert np.mean(i_q[100:]) == pytest.approx(1.0, abs=0.05)
@@ -59,5 +59,5 @@ def test_too_many_samples_are_refused_with_the_maximum(sim: LineSimulation) -> N
     with pytest.raises(RecorderError, match=r"5000 points of 2 variable\(s\) do not fit .* \d+ points fit"):
         recorded(sim, session, BurstRequest(("tick", "u_dc"), points=5000), 0.0)
     burst = recorded(sim, session, BurstRequest(("tick", "u_dc"), recorder=1, points=50), 0.0)
-    assert set(np.diff(burst.values[0].astype(np.int64))) == {8}
-    assert burst.times[1] == pytest.approx(500e-6)
+    assert set(np.diff(burst["tick"].astype(np.int64))) == {8}
+    assert burst.time[1] == pytest.approx(500e-6)

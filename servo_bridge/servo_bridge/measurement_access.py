@@ -17,7 +17,6 @@ from servo_measurement.access import (
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
 
-from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
@@ -102,10 +101,9 @@ class SessionAccess(BoardAccess):
             raise MeasurementError(f"recording {', '.join(names)}: {error}") from error
         finally:
             recording.abandon()
-        columns = {name: np.asarray(v, np.float64) for name, v in zip(names, burst.values, strict=True)}
-        return Trace(capture.step, columns)
+        return Trace(capture.step, {name: burst[name].astype(np.float64) for name in names})
 
-    def _recorded(self, recording: Recording, capture: Capture) -> Burst:
+    def _recorded(self, recording: Recording, capture: Capture) -> Trace:
         while recording.phase in (Phase.SET_UP, Phase.READY):
             recording.step(self._session)
             capture.meanwhile(False)

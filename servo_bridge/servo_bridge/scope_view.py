@@ -24,6 +24,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.recording_names import BURST, PLOT, TIMELINE
+from servo_msgs_py.trace import with_unit
 
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 from servo_bridge.tool_values import UsageError
@@ -224,7 +225,7 @@ def _blueprint(telemetry: Sequence[Curve], bursts: Sequence[Curve]) -> Any:
         return rrb.Vertical(
             *(
                 rrb.TimeSeriesView(
-                    name=f"{name} [{unit}]" if unit else name,
+                    name=with_unit(name, unit),
                     origin=origin,
                     contents=[f"+ /{entity_of(curve.parts).strip('/')}" for curve in curves if curve.unit == unit],
                     plot_legend=rrb.Corner2D.LeftTop,

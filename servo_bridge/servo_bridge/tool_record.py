@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servo_msgs_py.runtime.program import deferred
+from servo_msgs_py.trace import Trace
 
 from servo_bridge.bursts import request as burst_request
-from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.files import writer_for
 from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import BurstRequest
@@ -48,7 +48,7 @@ def record(context: Context) -> int:
     return 0
 
 
-def run(recording: Recording, session: Session, timeout: float | None = None) -> Burst:
+def run(recording: Recording, session: Session, timeout: float | None = None) -> Trace:
     """Record a burst until its trigger, a signal or the timeout [s], with a progress line."""
     start = time.monotonic()
     with ProgressLine() as progress, deferred() as stop:
@@ -64,9 +64,9 @@ def run(recording: Recording, session: Session, timeout: float | None = None) ->
     return burst
 
 
-def _summary(burst: Burst, files: list[str], recording: Recording, *, triggered: bool) -> str:
+def _summary(burst: Trace, files: list[str], recording: Recording, *, triggered: bool) -> str:
     span = ""
-    if burst.timed and len(burst.times):
-        span = f", {burst.times[0]:.6g} .. {burst.times[-1]:.6g} s"
+    if burst.step and len(burst):
+        span = f", {burst.time[0]:.6g} .. {burst.time[-1]:.6g} s"
     note = "; stopped before the trigger" if triggered and not recording.triggered else ""
-    return f"{len(burst.times)} points{span} in {', '.join(files)}{note}"
+    return f"{len(burst)} points{span} in {', '.join(files)}{note}"

@@ -14,9 +14,10 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name, numbers
 from servo_msgs_py.recording_names import burst_parts, telemetry_parts
 from servo_msgs_py.runtime.program import deferred
+from servo_msgs_py.trace import Trace
 
 from servo_bridge.bursts import request as burst_request
-from servo_bridge.bursts.burst import Burst, Channel, channels_of
+from servo_bridge.bursts.burst import Channel, channels_of
 from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.bursts.timeline import BoardTime, HostTime, Timeline
@@ -194,16 +195,11 @@ class _Run:
         else:
             progress.text(f"burst {self.bursts + 1}: {recording.phase.value}, {self._telemetry.rows} rows of telemetry")
 
-    def _show(self, view: ScopeView, burst: Burst) -> None:
+    def _show(self, view: ScopeView, burst: Trace) -> None:
         assert self._stopped_ns is not None
         self.bursts += 1
         times = self._telemetry.timeline.burst(burst, self._stopped_ns)
-        at = times[0] - burst.times[0]
+        at = times[0] - burst.time[0]
         text = f"burst {self.bursts} at {at:.6f} s: {self._recording.text}"
-        columns = [
-            values.astype(np.float64)
-            for channel, values in zip(burst.channels, burst.values, strict=True)
-            if channel.name != TICK
-        ]
-        view.burst(times, np.column_stack(columns), text)
+        view.burst(times, burst.table(name for name in burst.columns if name != TICK), text)
         print(text, flush=True)

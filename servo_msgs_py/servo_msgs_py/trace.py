@@ -67,5 +67,9 @@ class Trace:
 
     def head(self, name: str) -> str:
         """Name of a column with its unit."""
-        unit = self.units.get(name)
-        return f"{name} [{unit}]" if unit else name
+        return with_unit(name, self.units.get(name, ""))
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Heading of a column, label of a curve: ``axis1.i_q [A]``."""
+    return f"{name} [{unit}]" if unit else name

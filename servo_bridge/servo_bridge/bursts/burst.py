@@ -1,4 +1,4 @@
-"""Points of a recorder as arrays."""
+"""Channels of a recorder, and its points as a trace."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace, with_unit
 
 from servo_bridge.bursts.trigger_text import channel_slot
 from servo_bridge.freemaster.commands import ScopeSlot
@@ -29,7 +30,7 @@ class Channel:
     @property
     def head(self) -> str:
         """Name with unit."""
-        return f"{self.name} [{self.variable.unit}]" if self.variable.unit else self.name
+        return with_unit(self.name, self.variable.unit)
 
     @property
     def raw_type(self) -> str:
@@ -69,24 +70,7 @@ def channels_of(selection: Sequence[tuple[str, BoardVariable, int | None]]) -> l
     return result
 
 
-@dataclass(frozen=True)
-class Burst:
-    """Points of a recorder, oldest first."""
-
-    channels: tuple[Channel, ...]  # in the order of a point
-    times: NDArray[np.float64]
-    """(n,), time of every point [s], zero at the trigger, or at the first point without a trigger; index of the point
-    if the board does not report its sampling period."""
-    values: tuple[NDArray[Any], ...]  # values of every channel, each (n,)
-    timed: bool  # whether `times` are seconds
-
-    @property
-    def time_head(self) -> str:
-        """Name of the time with its unit."""
-        return "time [s]" if self.timed else "point"
-
-
-def burst_of(channels: Sequence[Channel], data: bytes, period_ns: int, zero: int) -> Burst:
+def burst_of(channels: Sequence[Channel], data: bytes, period_ns: int, zero: int) -> Trace:
     """Decode the points of a recorder.
 
     Parameters
@@ -98,18 +82,18 @@ def burst_of(channels: Sequence[Channel], data: bytes, period_ns: int, zero: int
     period_ns : int
         Time between two points [ns]; 0: not known.
     zero : int
-        Index of the point with time zero.
+        Index of the point with time zero: the trigger, or the first point.
 
     Raises
     ------
     CodecError
         If the data are not a whole number of points.
     """
-    names = [f"f{k}" for k in range(len(channels))]
-    layout = np.dtype([(name, channel.raw_type) for name, channel in zip(names, channels, strict=True)])
+    fields = [f"f{k}" for k in range(len(channels))]
+    layout = np.dtype([(field, channel.raw_type) for field, channel in zip(fields, channels, strict=True)])
     if len(data) % layout.itemsize:
         raise CodecError(f"{len(data)} bytes of samples are not a whole number of points of {layout.itemsize} bytes")
     points = np.frombuffer(data, layout)
-    times = (np.arange(len(points)) - zero).astype(np.float64) * (period_ns * 1e-9 if period_ns else 1.0)
-    values = tuple(channel.scaled(points[name]) for name, channel in zip(names, channels, strict=True))
-    return Burst(tuple(channels), times, values, bool(period_ns))
+    columns = {channel.name: channel.scaled(points[field]) for field, channel in zip(fields, channels, strict=True)}
+    units = {channel.name: channel.variable.unit for channel in channels}
+    return Trace(period_ns * 1e-9, columns, -zero, units)

@@ -9,62 +9,66 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.trace import Trace
 
-from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.rerun_log import entity_of, recording_file, send_curve
 from servo_bridge.tool_values import UsageError
 
 _TIMELINE: Final = "time"
 
 
-def write_csv(burst: Burst, path: Path) -> None:
+def _time_head(burst: Trace) -> str:
+    return "time [s]" if burst.step else "point"
+
+
+def write_csv(burst: Trace, path: Path) -> None:
     """Write a CSV file with one row per point."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([burst.time_head, *(channel.head for channel in burst.channels)])
-        for time, *values in zip(burst.times.tolist(), *(column.tolist() for column in burst.values), strict=True):
+        writer.writerow([_time_head(burst), *map(burst.head, burst.columns)])
+        columns = (column.tolist() for column in burst.columns.values())
+        for time, *values in zip(burst.time.tolist(), *columns, strict=True):
             writer.writerow([f"{time:.9g}", *values])
 
 
-def write_arrays(burst: Burst, path: Path) -> None:
+def write_arrays(burst: Trace, path: Path) -> None:
     """Write ``time`` and one array per channel, under its name; ``units`` in the order of the channels."""
-    columns = {channel.name: column for channel, column in zip(burst.channels, burst.values, strict=True)}
-    units = np.array([channel.variable.unit for channel in burst.channels])
-    np.savez(path, allow_pickle=False, time=burst.times, units=units, **columns)
+    units = np.array([burst.units[name] for name in burst.columns])
+    np.savez(path, allow_pickle=False, time=burst.time, units=units, **burst.columns)
 
 
-def write_picture(burst: Burst, path: Path) -> None:
+def write_picture(burst: Trace, path: Path) -> None:
     """Write a plot with one diagram per unit."""
-    units = list(dict.fromkeys(channel.variable.unit for channel in burst.channels))
+    units = list(dict.fromkeys(burst.units[name] for name in burst.columns))
     figure = new_figure(10.0, 1.5 + 2.2 * len(units))
     plots = figure.subplots(len(units), 1, squeeze=False, sharex=True)[:, 0]
-    for channel, column in zip(burst.channels, burst.values, strict=True):
-        plots[units.index(channel.variable.unit)].plot(burst.times, column, label=channel.name)
+    for name, column in burst.columns.items():
+        plots[units.index(burst.units[name])].plot(burst.time, column, label=name)
     for plot, unit in zip(plots, units, strict=True):
         plot.set_ylabel(unit)
         plot.axvline(0.0, color="0.7", linewidth=0.8)
         plot.legend(loc="upper right")
-    plots[-1].set_xlabel(burst.time_head)
+    plots[-1].set_xlabel(_time_head(burst))
     write_figure(figure, path)
 
 
-def write_recording(burst: Burst, path: Path) -> None:
+def write_recording(burst: Trace, path: Path) -> None:
     """Write a recording for the rerun viewer: one entity per channel, on the timeline ``time``."""
     with recording_file("servo-tool", path) as recording:
         import rerun as rr
 
         index = (
-            rr.TimeColumn(_TIMELINE, duration=burst.times)
-            if burst.timed
-            else rr.TimeColumn(_TIMELINE, sequence=burst.times.astype(np.int64))
+            rr.TimeColumn(_TIMELINE, duration=burst.time)
+            if burst.step
+            else rr.TimeColumn(_TIMELINE, sequence=burst.time.astype(np.int64))
         )
-        for channel, column in zip(burst.channels, burst.values, strict=True):
-            entity = entity_of(channel.name.split("."))
-            recording.log(entity, rr.SeriesLines(names=channel.head), static=True)
+        for name, column in burst.columns.items():
+            entity = entity_of(name.split("."))
+            recording.log(entity, rr.SeriesLines(names=burst.head(name)), static=True)
             send_curve(recording, entity, index, column)
 
 
-_WRITERS: Final[Mapping[str, Callable[[Burst, Path], None]]] = {
+_WRITERS: Final[Mapping[str, Callable[[Trace, Path], None]]] = {
     ".csv": write_csv,
     ".npz": write_arrays,
     ".png": write_picture,
@@ -74,7 +78,7 @@ _WRITERS: Final[Mapping[str, Callable[[Burst, Path], None]]] = {
 }
 
 
-def writer_for(path: Path) -> Callable[[Burst, Path], None]:
+def writer_for(path: Path) -> Callable[[Trace, Path], None]:
     """Function that writes a file of this type.
 
     Raises

@@ -13,11 +13,11 @@ from rclpy.node import Node
 from servo_msgs_py.convert import snapshot_message
 from servo_msgs_py.recorder_setup import setup_message
 from servo_msgs_py.runtime.qos import latched_qos
+from servo_msgs_py.trace import Trace
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
 from servo_bridge.board_context import BoardContext
-from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import POLL, Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.deferred_service import DeferredService
@@ -89,7 +89,7 @@ class RecordService:
         if recording is not None:
             self._context.when_done(self._context.call(recording.step), partial(self._stepped, recording))
 
-    def _stepped(self, recording: Recording, step: Future[Burst | None]) -> None:
+    def _stepped(self, recording: Recording, step: Future[Trace | None]) -> None:
         if recording is not self._recording:
             return
         error = error_of(step)
@@ -125,31 +125,28 @@ class RecordService:
         if recording is not None:
             self._setups.publish(setup_message(None))
 
-    def _publish(self, burst: Burst, recording: Recording) -> None:
+    def _publish(self, burst: Trace, recording: Recording) -> None:
         how = "" if recording.triggered or recording.request.trigger is None else ", stopped before the trigger"
         self._publisher.publish(table_of(burst, f"{recording.text}{how}", self._times))
-        self._context.info(f"recorded {len(burst.times)} points{how}")
+        self._context.info(f"recorded {len(burst)} points{how}")
 
 
-def table_of(burst: Burst, label: str, times: Callable[[Any], tuple[Any, Any]]) -> Float64MultiArray:
+def table_of(burst: Trace, label: str, times: Callable[[Any], tuple[Any, Any]]) -> Float64MultiArray:
     """Message of a burst that includes the tick.
 
     Parameters
     ----------
-    burst : Burst
+    burst : Trace
         The points.
     label : str
         Description, for ``layout.dim[0].label``.
     times : callable
         Converts uint32 ticks, oldest first, to extended ticks and ROS times [ns].
     """
-    names = [channel.name for channel in burst.channels]
-    columns = [values.astype(np.float64) for values in burst.values]
-    where = names.index(TICK)
-    ticks, stamps = times(burst.values[where].astype(np.int64))
-    columns[where] = ticks.astype(np.float64)
-    seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
-    rows = np.column_stack([*columns, burst.times, seconds.astype(np.float64), nanoseconds.astype(np.float64)])
-    message = snapshot_message([*names, topics.BURST_TIME, *topics.STAMP_COLUMNS], rows.tolist())
+    ticks, stamps = times(burst[TICK].astype(np.int64))
+    added = (ticks, burst.time, *np.divmod(stamps, 1_000_000_000))
+    names = (TICK, topics.BURST_TIME, *topics.STAMP_COLUMNS)
+    complete = burst.changed(**dict(zip(names, added, strict=True)))
+    message = snapshot_message(list(complete.columns), complete.table(complete.columns).tolist())
     message.layout.dim[0].label = label
     return message

@@ -9,8 +9,9 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.recorder_setup import RecorderSetup
+from servo_msgs_py.trace import Trace
 
-from servo_bridge.bursts.burst import Burst, Channel, burst_of
+from servo_bridge.bursts.burst import Channel, burst_of
 from servo_bridge.bursts.request import BurstRequest, Prepared
 from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.freemaster.recorder import SampleMemory, State, in_order, memory_checked
@@ -138,13 +139,13 @@ class Recording:
         assert self._prepared is not None
         return self._prepared.channels
 
-    def step(self, session: Session) -> Burst | None:
+    def step(self, session: Session) -> Trace | None:
         """Execute the next step, which takes few exchanges.
 
         Returns
         -------
-        Burst or None
-            The complete burst; None: call again after `pause`.
+        Trace or None
+            All points; None: call again after `pause`.
 
         Raises
         ------

@@ -6,9 +6,9 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 
-from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.request import TICK
 from servo_bridge.wire.board_clock import TickExtender
 
@@ -27,13 +27,13 @@ class Timeline(Protocol):
             uint32 tick of the board; None if it has no tick.
         """
 
-    def burst(self, burst: Burst, stopped_ns: int) -> NDArray[np.float64]:
+    def burst(self, burst: Trace, stopped_ns: int) -> NDArray[np.float64]:
         """Times of the points of a burst [s].
 
         Parameters
         ----------
-        burst : Burst
-            Burst; with the tick if the board has one.
+        burst : Trace
+            Points of a recorder; with the tick if the board has one.
         stopped_ns : int
             Monotonic time at which the recorder was found stopped [ns].
         """
@@ -58,11 +58,10 @@ class BoardTime:
         self._last = extended
         return (extended - self._first) * PERIOD_NS * 1e-9
 
-    def burst(self, burst: Burst, stopped_ns: int) -> NDArray[np.float64]:
+    def burst(self, burst: Trace, stopped_ns: int) -> NDArray[np.float64]:
         """Times of the points of a burst since the first row [s], shape (points,), by their ticks."""
         assert self._first is not None
-        where = [channel.name for channel in burst.channels].index(TICK)
-        ticks = [unwrap_u32(int(tick), self._last) - self._first for tick in burst.values[where].tolist()]
+        ticks = [unwrap_u32(int(tick), self._last) - self._first for tick in burst[TICK].tolist()]
         return np.array(ticks, np.float64) * (PERIOD_NS * 1e-9)
 
 
@@ -78,8 +77,8 @@ class HostTime:
             self._first = time_ns
         return (time_ns - self._first) * 1e-9
 
-    def burst(self, burst: Burst, stopped_ns: int) -> NDArray[np.float64]:
+    def burst(self, burst: Trace, stopped_ns: int) -> NDArray[np.float64]:
         """Times of the points of a burst since the first row [s], shape (points,); the last is at `stopped_ns` [ns]."""
         assert self._first is not None
         end = (stopped_ns - self._first) * 1e-9
-        return np.asarray(burst.times - burst.times[-1] + end)
+        return np.asarray(burst.time - burst.time[-1] + end)
