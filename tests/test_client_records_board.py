@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from line_simulation import LineSimulation
-from servo_bridge.bursts.recording import Recording
+from servo_bridge.bursts.recording import BurstRecording
 from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.wire.session import Session, connect
@@ -24,7 +24,7 @@ def sim() -> Iterator[LineSimulation]:
 def recorded(sim: LineSimulation, session: Session, request: BurstRequest, current: float) -> Trace:
     """Record, with a current set-point after the recorder has run for some time."""
     start = sim.now
-    recording = Recording(request, sim.board.catalogue, clock=lambda: sim.now)
+    recording = BurstRecording(request, sim.board.catalogue, clock=lambda: sim.now)
     asked = False
     while (burst := recording.step(session)) is None:
         sim.host.keep_alive()

@@ -17,7 +17,7 @@ from servo_measurement.access import (
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
 
-from servo_bridge.bursts.recording import Phase, Recording
+from servo_bridge.bursts.recording import BurstRecording, Phase
 from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
 from servo_bridge.tool_values import UnknownVariableError
@@ -94,7 +94,7 @@ class SessionAccess(BoardAccess):
             capture.samples,
             1.0 / capture.step,
         )
-        recording = Recording(request, self.catalogue, clock=self.clock)
+        recording = BurstRecording(request, self.catalogue, clock=self.clock)
         try:
             burst = self._recorded(recording, capture)
         except (RecorderError, UnknownVariableError, ValueError) as error:
@@ -103,7 +103,7 @@ class SessionAccess(BoardAccess):
             recording.abandon()
         return Trace(capture.step, {name: burst[name].astype(np.float64) for name in names})
 
-    def _recorded(self, recording: Recording, capture: Capture) -> Trace:
+    def _recorded(self, recording: BurstRecording, capture: Capture) -> Trace:
         while recording.phase in (Phase.SET_UP, Phase.READY):
             recording.step(self._session)
             capture.meanwhile(False)

@@ -15,8 +15,8 @@ from servo_msgs_py.convert import (
     joint_state_from_values,
     parameters_message,
     snapshot_message,
+    trace_message,
 )
-from servo_msgs_py.fault_record import COLUMNS as RECORD_COLUMNS
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
@@ -124,9 +124,7 @@ class Publications:
 
     def fault_record(self, record: FaultRecord) -> None:
         """Publish the record of the first fault of an axis."""
-        message = snapshot_message(RECORD_COLUMNS, record.table.tolist())
-        message.layout.dim[0].label = record.summary()
-        self._fault_records[record.axis].publish(message)
+        self._fault_records[record.axis].publish(trace_message(record.samples, record.summary()))
 
     def parameters(self, values: RawParameters, catalogue: Catalogue) -> None:
         """Publish the parameters of the board."""

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import flag_texts
-from servo_msgs_py.fault_record import COLUMNS, FaultRecord, record_variable
+from servo_msgs_py.fault_record import FaultRecord, record_variable
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.table_text import aligned
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
-
-_HEADS = ("time [ms]", "i_a [A]", "i_b [A]", "i_d [A]", "i_q [A]", "theta_e [rad]", "u_dc [V]", "speed [rad/s]")
 
 
 def snapshot(context: Context) -> int:
@@ -45,24 +44,24 @@ def _print(record: FaultRecord, context: Context) -> None:
     if record.fault is None:
         return
     print("  " + "; ".join(flag_texts(context.catalogue, "faults", record.fault.mask)))
-    print("  " + "".join(f"{head:>14}" for head in _HEADS))
-    for row in record.table.tolist():
-        numbers = [1e3 * row[0], *row[1:]]
-        print("  " + "".join(f"{number:>14.4f}" for number in numbers))
+    columns = {name: values for name, values in record.samples.columns.items() if name != "time"}
+    rows = zip(1e3 * record.samples["time"], *columns.values(), strict=True)
+    cells = [["time [ms]", *map(record.samples.head, columns)], *([f"{number:.4f}" for number in row] for row in rows)]
+    for line in aligned(cells, ">"):
+        print(f"  {line}")
 
 
 def _plot(records: Sequence[FaultRecord], path: Path) -> None:
     figure = new_figure(10.0, 3.0 * max(len(records), 1))
     grid = figure.subplots(max(len(records), 1), 3, squeeze=False)
     curves = (("i_a", "i_b", "i_d", "i_q"), ("u_dc",), ("speed",))
-    units = ("A", "V", "rad/s")
     for row, record in zip(grid, records, strict=False):
-        samples = dict(zip(COLUMNS, record.table.T, strict=True))
-        for place, names, unit in zip(row, curves, units, strict=True):
+        samples = record.samples
+        for place, names in zip(row, curves, strict=True):
             for name in names:
                 place.plot(1e3 * samples["time"], samples[name], label=name)
             place.set_xlabel("ms")
-            place.set_ylabel(unit)
+            place.set_ylabel(samples.units[names[0]])
             place.legend()
         row[0].set_title(f"{axis_name(record.axis)}: {record.fault.name if record.fault else ''}")
     write_figure(figure, path)

@@ -12,7 +12,7 @@ from servo_msgs_py.trace import Trace
 
 from servo_bridge.bursts import request as burst_request
 from servo_bridge.bursts.files import writer_for
-from servo_bridge.bursts.recording import Phase, Recording
+from servo_bridge.bursts.recording import BurstRecording, Phase
 from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.tool_commands import record as record_rows
 from servo_bridge.tool_commands import warn
@@ -39,7 +39,7 @@ def record(context: Context) -> int:
     if args.duration is not None:
         raise UsageError("--duration is not for bursts; use --points, or --timeout to stop without a trigger")
     writers = [(writer_for(path), path) for path in map(Path, args.output)]
-    recording = Recording(BurstRequest.of(args), context.catalogue)
+    recording = BurstRecording(BurstRequest.of(args), context.catalogue)
     warn(context)
     burst = run(recording, context.session, args.timeout)
     for write, path in writers:
@@ -48,7 +48,7 @@ def record(context: Context) -> int:
     return 0
 
 
-def run(recording: Recording, session: Session, timeout: float | None = None) -> Trace:
+def run(recording: BurstRecording, session: Session, timeout: float | None = None) -> Trace:
     """Record a burst until its trigger, a signal or the timeout [s], with a progress line."""
     start = time.monotonic()
     with ProgressLine() as progress, deferred() as stop:
@@ -64,7 +64,7 @@ def run(recording: Recording, session: Session, timeout: float | None = None) ->
     return burst
 
 
-def _summary(burst: Trace, files: list[str], recording: Recording, *, triggered: bool) -> str:
+def _summary(burst: Trace, files: list[str], recording: BurstRecording, *, triggered: bool) -> str:
     span = ""
     if burst.step and len(burst):
         span = f", {burst.time[0]:.6g} .. {burst.time[-1]:.6g} s"

@@ -18,7 +18,7 @@ from servo_msgs_py.trace import Trace
 
 from servo_bridge.bursts import request as burst_request
 from servo_bridge.bursts.burst import Channel, channels_of
-from servo_bridge.bursts.recording import Phase, Recording
+from servo_bridge.bursts.recording import BurstRecording, Phase
 from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.bursts.timeline import BoardTime, HostTime, Timeline
 from servo_bridge.freemaster.errors import FreemasterError
@@ -136,12 +136,12 @@ class _Run:
         self._session, self._catalogue = context.session, context.catalogue
         self._request = request
         self._telemetry = telemetry
-        self._recording = Recording(request, self._catalogue)
+        self._recording = BurstRecording(request, self._catalogue)
         self._stopped_ns: int | None = None
         self.bursts = 0  # recorded so far
 
     def begin(self) -> None:
-        """Set up the recorder; raises the errors of `Recording.step`."""
+        """Set up the recorder; raises the errors of `BurstRecording.step`."""
         self._recording.step(self._session)
         if not self._recording.timed:
             self._recording.abandon()
@@ -178,7 +178,7 @@ class _Run:
     def _again(self) -> None:
         """Start the next burst."""
         self._recording.abandon()
-        self._recording, self._stopped_ns = Recording(self._request, self._catalogue), None
+        self._recording, self._stopped_ns = BurstRecording(self._request, self._catalogue), None
         self.begin()
 
     def _step(self, view: ScopeView, progress: ProgressLine) -> None:

@@ -19,7 +19,7 @@ from recorded_fault import NONE, decoded, recorded
 from servo_bridge.freemaster.errors import TransportError
 from servo_bridge.wire.link import LinkState
 from servo_msgs_py.convert import snapshot_table
-from servo_msgs_py.fault_record import COLUMNS
+from servo_msgs_py.fault_record import UNITS
 from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Float64MultiArray
 
@@ -104,7 +104,7 @@ def test_snapshot_prints_fault_remedy_and_samples(
     assert heads.split()[::2][:1] == ["time"]
     assert len(rows) == 64
     numbers = np.array([[float(word) for word in row.split()] for row in rows])
-    table = decoded(LOST).table * np.array([1e3, 1, 1, 1, 1, 1, 1, 1])
+    table = decoded(LOST).samples.table() * np.array([1e3, 1, 1, 1, 1, 1, 1, 1])
     np.testing.assert_allclose(numbers, table, atol=0.5001e-4)
     assert second == "axis2: no fault"
 
@@ -162,7 +162,7 @@ def fail(rig: Rig, word: int) -> None:
 
 def published(message: Float64MultiArray) -> tuple[str, list[Any]]:
     names, table = snapshot_table(message)
-    assert tuple(names) == COLUMNS
+    assert names == list(UNITS)
     return message.layout.dim[0].label, table.tolist()
 
 
@@ -170,7 +170,9 @@ def test_fault_is_published_with_its_record(rig: Rig) -> None:
     fail(rig, PHASE_LOST)
     rig.until(lambda: rig.messages[TOPIC])
     record = decoded(LOST)
-    assert [published(message) for message in rig.messages[TOPIC]] == [(record.summary(), record.table.tolist())]
+    assert [published(message) for message in rig.messages[TOPIC]] == [
+        (record.summary(), record.samples.table().tolist())
+    ]
     rig.until(lambda: f"axis1: {record.summary()}" in rig.logs(Log.ERROR))
     values = {pair.key: pair.value for pair in rig.diagnosis("axis1").values}
     assert values["first fault tick"] == "8003"
@@ -188,4 +190,4 @@ def test_no_record_is_published_after_link_loss_during_the_read(rig: Rig) -> Non
     rig.link.pending_reads = None
     rig.connect(FAULT, STOP)
     rig.until(lambda: rig.messages[TOPIC])
-    assert published(rig.messages[TOPIC][-1])[1] == decoded(LOST).table.tolist()
+    assert published(rig.messages[TOPIC][-1])[1] == decoded(LOST).samples.table().tolist()

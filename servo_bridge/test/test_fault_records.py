@@ -76,7 +76,7 @@ def test_a_fault_is_read_once(rig: RecordsRig, axis: int, name: str) -> None:
     rig.answer(recorded("PHASE_LOST", 11, i_q=4000))
     (record,) = rig.changed
     assert (record.axis, rig.names(), record.tick) == (axis, ["PHASE_LOST"], 11)
-    np.testing.assert_allclose(record.table[:, 4], 4000 * 8.25 / 2**15)
+    np.testing.assert_allclose(record.samples["i_q"], 4000 * 8.25 / 2**15)
     assert rig.records.records == [record if k == axis else None for k in range(2)]
     assert [rig.snapshot(tick, *faults) for tick in range(24, 2000, 8)] == [[]] * 247
 

@@ -10,7 +10,7 @@ import pytest
 from bridge_rig import STOP, Rig
 from fake_servo import CATALOGUE, FakeServo
 from fake_transport import FakeTransport, client_on
-from servo_bridge.bursts.recording import Recording
+from servo_bridge.bursts.recording import BurstRecording
 from servo_bridge.bursts.request import Prepared
 from servo_bridge.wire.session import connect
 from servo_msgs_py.convert import snapshot_table
@@ -81,9 +81,9 @@ def test_a_burst_is_published_with_its_ticks_and_stamps(rig: Rig) -> None:
 
 def test_recorder_set_up_is_published_before_the_start_and_withdrawn(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[object] = []
-    begin = Recording._begin
+    begin = BurstRecording._begin
 
-    def started(recording: Recording, prepared: Prepared) -> None:
+    def started(recording: BurstRecording, prepared: Prepared) -> None:
         done.append("started")
         begin(recording, prepared)
 
@@ -91,7 +91,7 @@ def test_recorder_set_up_is_published_before_the_start_and_withdrawn(rig: Rig, m
         done.append(setup)
         return setup_message(setup)
 
-    monkeypatch.setattr(Recording, "_begin", started)
+    monkeypatch.setattr(BurstRecording, "_begin", started)
     monkeypatch.setattr("servo_bridge.bursts.record_service.setup_message", stored_message)
     rig.until(lambda: rig.messages[topics.RECORDER])  # a latched topic keeps its last message only
     assert rig.set_parameter("recording", "axis1.i_q param.i_q_limit --rate 4000 --points 30")[0]

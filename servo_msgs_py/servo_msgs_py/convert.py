@@ -25,6 +25,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES, PARAMETERS
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import to_raw
 
 _NS: Final = 1_000_000_000
@@ -179,6 +180,25 @@ def snapshot_table(message: Float64MultiArray) -> tuple[list[str], NDArray[np.fl
     if data.size != shape[0] * shape[1]:
         raise ValueError(f"a table of {shape[0]} by {shape[1]} with {data.size} numbers")
     return names, data.reshape(shape)
+
+
+def trace_message(trace: Trace, label: str) -> Float64MultiArray:
+    """Message with all columns of a trace as a table; `label` describes it, in ``layout.dim[0].label``."""
+    message = snapshot_message(list(trace.columns), trace.table().tolist())
+    message.layout.dim[0].label = label
+    return message
+
+
+def trace_from_message(message: Float64MultiArray) -> Trace:
+    """Trace of a message made by `trace_message`; its times are in its columns.
+
+    Raises
+    ------
+    ValueError
+        If layout and data do not match.
+    """
+    names, table = snapshot_table(message)
+    return Trace(0.0, dict(zip(names, table.T, strict=True)))
 
 
 # ---- parameters

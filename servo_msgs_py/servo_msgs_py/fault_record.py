@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_msgs_py.catalogue import Catalogue, Flag, Value, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 _STRUCTURE: Final = "fault_record_t"
@@ -18,9 +19,11 @@ _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
 _MONITOR_PERIOD: Final = SLOW_PERIODS // 2
 """PWM period after a slow tick in which the firmware runs the monitors and samples (``firmware/app/servo.c``)."""
 
-COLUMNS: Final = ("time", "i_a", "i_b", "i_d", "i_q", "theta_e", "u_dc", "speed")
-"""Columns of `FaultRecord.table`: time relative to the fault [s], phase currents, currents in rotor coordinates [A],
-electrical angle [rad], bus voltage [V], mechanical speed [rad/s]."""
+UNITS: Final = {
+    "time": "s", "i_a": "A", "i_b": "A", "i_d": "A", "i_q": "A", "theta_e": "rad", "u_dc": "V", "speed": "rad/s",
+}  # fmt: skip
+"""Columns of `FaultRecord.samples` with units: time relative to the fault, phase currents, currents in rotor
+coordinates, electrical angle, bus voltage, mechanical speed."""
 
 
 def record_variable(axis: int) -> str:
@@ -36,7 +39,7 @@ class FaultRecord:
     fault: Flag | None  # the first fault; None if there is none
     tick: int  # PWM periods since reset
     place: str  # state at the fault, such as ``RUN/SPIN``
-    table: NDArray[np.float64]  # samples by `COLUMNS`, oldest first; the last one was taken in the period of the fault
+    samples: Trace  # columns `UNITS`; the last sample was taken in the period of the fault
 
     @classmethod
     def of(cls, axis: int, data: Value, catalogue: Catalogue) -> FaultRecord:
@@ -60,7 +63,7 @@ class FaultRecord:
         flags = {flag.bit + 1: flag for flag in catalogue.flags["faults"]}
         label = catalogue.label("state_t", state)
         place = f"RUN/{catalogue.label('substate_t', substate)}" if label == "RUN" else label
-        return cls(axis, flags.get(code), tick, place, _table(tick, axis, following, size, rings))
+        return cls(axis, flags.get(code), tick, place, _samples(tick, axis, following, size, rings))
 
     @property
     def seconds(self) -> float:
@@ -72,9 +75,9 @@ class FaultRecord:
         if self.fault is None:
             return "no fault"
         text = f"first fault {self.fault.name} in {self.place}, {self.seconds:.4f} s after reset"
-        if not len(self.table):
+        if not len(self.samples):
             return text
-        last = dict(zip(COLUMNS, self.table[-1].tolist(), strict=True))
+        last = {name: float(column[-1]) for name, column in self.samples.columns.items()}
         current = math.hypot(last["i_d"], last["i_q"])
         return f"{text}: {last['speed']:.1f} rad/s, {current:.2f} A, {last['u_dc']:.1f} V"
 
@@ -89,14 +92,12 @@ class FaultRecord:
             "state": self.place,
             "tick": self.tick,
             "seconds": self.seconds,
-            "columns": list(COLUMNS),
-            "samples": self.table.tolist(),
+            "columns": list(self.samples.columns),
+            "samples": self.samples.table().tolist(),
         }
 
 
-def _table(
-    tick: int, axis: int, following: int, size: int, rings: Mapping[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def _samples(tick: int, axis: int, following: int, size: int, rings: Mapping[str, NDArray[np.float64]]) -> Trace:
     capacity = len(rings["i_d"])
     size = min(size, capacity)
     order = (following - size + np.arange(size)) % capacity
@@ -111,4 +112,4 @@ def _table(
     alpha, beta = d * np.cos(theta) - q * np.sin(theta), d * np.sin(theta) + q * np.cos(theta)
     i_b = -0.5 * alpha + math.sqrt(0.75) * beta
     columns = {"time": time, "i_a": alpha, "i_b": i_b, **samples}
-    return np.column_stack([columns[name] for name in COLUMNS])
+    return Trace(0.0, {name: columns[name] for name in UNITS}, units=UNITS)

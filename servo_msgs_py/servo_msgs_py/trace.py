@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Equally spaced samples; its columns cannot be changed.
+    """Samples of all columns at the same instants; the columns cannot be changed.
 
     Raises
     ------
@@ -21,7 +21,7 @@ class Trace:
         If there is no column, or their lengths differ.
     """
 
-    step: float  # time between two samples [s]; 0: not known, and `time` counts samples
+    step: float  # time between two samples [s]; 0: not known or not constant, and `time` counts samples
     columns: Mapping[str, NDArray[Any]]  # by name of the variable, each (samples,); SI, or the raw words of flags
     first: int = 0  # number of the first sample; sample 0 is at time zero
     units: Mapping[str, str] = field(default_factory=dict)  # of columns whose unit is not given by their names
@@ -61,9 +61,10 @@ class Trace:
         """The same samples with other or additional columns."""
         return replace(self, columns={**self.columns, **columns})
 
-    def table(self, names: Iterable[str]) -> NDArray[np.float64]:
-        """Columns side by side, shape (samples, names)."""
-        return np.column_stack([self.columns[name].astype(np.float64) for name in names])
+    def table(self, names: Iterable[str] | None = None) -> NDArray[np.float64]:
+        """Columns side by side, by default all, shape (samples, names)."""
+        chosen = self.columns if names is None else names
+        return np.column_stack([self.columns[name].astype(np.float64) for name in chosen])
 
     def head(self, name: str) -> str:
         """Name of a column with its unit."""

@@ -17,6 +17,7 @@ from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_VARIABLES
+from servo_msgs_py.trace import Trace
 from std_msgs.msg import Float64MultiArray
 
 from servo_msgs_py import convert
@@ -86,6 +87,15 @@ def test_tables_are_restored_after_serialisation(rows: list[list[float]]) -> Non
     found, table = convert.snapshot_table(message)
     assert found == names
     np.testing.assert_array_equal(table, np.array(rows))
+
+
+def test_a_trace_and_its_label_are_transferred_in_a_message() -> None:
+    sent = Trace(500e-6, {"tick": np.array([8, 16]), "u_dc": np.array([24.0, np.nan])}, units={"u_dc": "V"})
+    message = convert.trace_message(sent, "a burst")
+    found = convert.trace_from_message(message)
+    assert message.layout.dim[0].label == "a burst"
+    assert list(found.columns) == ["tick", "u_dc"]
+    np.testing.assert_array_equal(found.table(), sent.table())
 
 
 def test_a_short_row_is_refused() -> None:

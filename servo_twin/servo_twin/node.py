@@ -29,6 +29,8 @@ from servo_msgs_py.convert import (
     parameters_from_message,
     snapshot_message,
     snapshot_table,
+    trace_from_message,
+    trace_message,
 )
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.recorder_setup import setup_from_message
@@ -244,13 +246,13 @@ class ServoTwin(Node):
 
     def _on_recording(self, message: Float64MultiArray) -> None:
         try:
-            columns, table = snapshot_table(message)
-            if "tick" not in columns or not len(table) or not np.isfinite(table[:, columns.index("tick")]).all():
+            points = trace_from_message(message)
+            if "tick" not in points.columns or not len(points) or not np.isfinite(points["tick"]).all():
                 raise ValueError("recording without ticks")
         except ValueError as error:
             self._log.warning(f"{self._board_namespace}/{topics.RECORDING}: {error}")
             return
-        self._worker.add_burst(message.layout.dim[0].label, columns, table)
+        self._worker.add_burst(message.layout.dim[0].label, points)
 
     def _on_tuning(self, message: Int64MultiArray) -> None:
         with self._lock:
@@ -415,12 +417,10 @@ class ServoTwin(Node):
 
     def _publish_burst(self, answer: BurstAnswer) -> None:
         """Publish the recording of the twin and its residual; warn if they are incomplete."""
-        for publisher, table in ((self._recording, answer.twin), (self._residual_recording, answer.residual)):
-            if len(table):
-                message = snapshot_message(answer.columns, table.tolist())
-                message.layout.dim[0].label = answer.label
-                publisher.publish(message)
-        if not len(answer.twin):
+        for publisher, trace in ((self._recording, answer.twin), (self._residual_recording, answer.residual)):
+            if trace is not None:
+                publisher.publish(trace_message(trace, answer.label))
+        if answer.twin is None:
             self._log.warning(f"no recording of the twin for this burst: {answer.note}")
         elif answer.note:
             self._log.warning(f"the recording of the twin is incomplete: {answer.note}")

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_msgs_py.convert import FAULTS, NO_FAULT, applied_from_message, from_stamp, snapshot_table
+from servo_msgs_py.convert import FAULTS, NO_FAULT, applied_from_message, from_stamp, snapshot_table, trace_from_message
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import destroyed_on_error, run
@@ -33,6 +33,8 @@ from servo_twin.view import scene
 from servo_twin.view.recording import Recording, RecordingError
 from servo_twin.view.viewer import Viewer
 from servo_twin.view.web_page import WebPage, WebPageError, free_port
+
+_Decoded = TypeVar("_Decoded")
 
 PARAMETERS: Final = {
     "record": spec("", "file for the recording (.rrd); an existing file is replaced; empty: none"),
@@ -143,7 +145,7 @@ class ServoViewer(Node):
     def _on_snapshot(
         self, topic: str, take: Callable[[Sequence[str], NDArray[Any]], None], message: Float64MultiArray
     ) -> None:
-        table = self._table(topic, message)
+        table = self._decoded(topic, snapshot_table, message)
         if table is None:
             return
         if not self._described:  # units unknown
@@ -152,18 +154,20 @@ class ServoViewer(Node):
             return
         take(*table)
 
-    def _table(self, topic: str, message: Float64MultiArray) -> tuple[Sequence[str], NDArray[Any]] | None:
-        """Columns and table of a message; None and a warning if it is invalid."""
+    def _decoded(
+        self, topic: str, decode: Callable[[Float64MultiArray], _Decoded], message: Float64MultiArray
+    ) -> _Decoded | None:
+        """Contents of a message; None and a warning if it is invalid."""
         try:
-            return snapshot_table(message)
+            return decode(message)
         except ValueError as error:
             self._log.warning(f"{topic}: {error}", throttle_duration_sec=10.0)
             return None
 
     def _on_recording(self, topic: str, source: str, message: Float64MultiArray) -> None:
-        table = self._table(topic, message)
-        if table is not None:
-            self._viewer.burst(source, *table)
+        points = self._decoded(topic, trace_from_message, message)
+        if points is not None:
+            self._viewer.burst(source, points)
 
     def _on_description(self, topic: str, message: String) -> None:
         try:

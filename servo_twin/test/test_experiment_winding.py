@@ -30,7 +30,7 @@ def test_missing_derating_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -
     for it, model, real in zip(found, nominal, true, strict=True):
         wrong = {row.name for row in winding.figures(Judge(), it, model, real) if not row.agrees}
         assert {"time until derating", "final current", "final winding temperature"} <= wrong
-        assert it.current[-1] == pytest.approx(4.0, abs=0.01)
+        assert it["i_q_ref"][-1] == pytest.approx(4.0, abs=0.01)
 
 
 def test_wrong_nominal_value_applies_only_to_the_controller() -> None:

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from servo_msgs_py.fault_record import COLUMNS, FaultRecord
+from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.fault_injection import HotPowerStage, OpenPhase, ShortedPhase
@@ -26,10 +25,6 @@ def board() -> Iterator[Board]:
     with Board(seed=4) as board:
         enable(board)
         yield board
-
-
-def column(record: FaultRecord, name: str) -> NDArray[np.float64]:
-    return record.table[:, COLUMNS.index(name)]
 
 
 def apply_torque(board: Board, axis: int, i_q: float) -> None:
@@ -56,9 +51,9 @@ def test_record_contains_the_currents_of_the_32_ms_before_the_fault(board: Board
     board.inject(ShortedPhase(axis, "a"))
     board.run(0.01)
     it = fault_record(board, axis)
-    assert (fault(it), it.place, len(it.table)) == ("OVER_CURRENT", "RUN/SPIN", 64)
+    assert (fault(it), it.place, len(it.samples)) == ("OVER_CURRENT", "RUN/SPIN", 64)
     assert broken <= it.seconds < broken + 0.001
-    time, i_q = it.seconds + column(it, "time"), column(it, "i_q")
+    time, i_q = it.seconds + it.samples["time"], it.samples["i_q"]
     before = time < changed
     after = (time > changed + 0.0015) & (time < broken)  # latched within 0.5 ms, and the current loop takes 1 ms
     assert before.sum() >= 30
@@ -66,10 +61,10 @@ def test_record_contains_the_currents_of_the_32_ms_before_the_fault(board: Board
     noise = 7.5 * board.plant.axes[axis].i_noise
     np.testing.assert_allclose(i_q[before], 0.5, atol=noise)
     np.testing.assert_allclose(i_q[after], -1.5, atol=noise)
-    np.testing.assert_allclose(column(it, "i_d")[before | after], 0.0, atol=noise)
+    np.testing.assert_allclose(it.samples["i_d"][before | after], 0.0, atol=noise)
     third = 2.0 * math.pi / 3.0
-    assert column(it, "i_a")[after].mean() == pytest.approx(1.5 * math.sin(theta), abs=0.02)
-    assert column(it, "i_b")[after].mean() == pytest.approx(1.5 * math.sin(theta - third), abs=0.02)
+    assert it.samples["i_a"][after].mean() == pytest.approx(1.5 * math.sin(theta), abs=0.02)
+    assert it.samples["i_b"][after].mean() == pytest.approx(1.5 * math.sin(theta - third), abs=0.02)
 
 
 @AXES
@@ -92,17 +87,17 @@ def test_times_of_the_samples_agree_with_the_motion_of_the_shaft(board: Board, a
     it = fault_record(board, axis)
     assert fault(it) == name
     moment, theta, omega, u_dc = np.array(truth).T
-    time = it.seconds + column(it, "time")
+    time = it.seconds + it.samples["time"]
     seen = time > moment[0] + 2.0 * PERIOD
     assert seen.sum() >= 8
     pole_pairs = board.plant.axes[axis].pole_pairs
-    wrong = column(it, "theta_e") - pole_pairs * np.interp(time, moment, theta)
+    wrong = it.samples["theta_e"] - pole_pairs * np.interp(time, moment, theta)
     wrong = (wrong + math.pi) % (2.0 * math.pi) - math.pi
     # An angle is read in the middle of its period; the monitors of axis 2 run before it is read again.
     maximum = pole_pairs * (2.0 * PERIOD * 100.0 * 1.05 + 2.0 * math.pi / COUNTS_PER_TURN)
     np.testing.assert_array_less(np.abs(wrong[seen]), maximum)
-    np.testing.assert_allclose(column(it, "speed")[seen], np.interp(time, moment, omega)[seen], atol=3.0)
-    np.testing.assert_allclose(column(it, "u_dc")[seen], np.interp(time, moment, u_dc)[seen], atol=0.25)
+    np.testing.assert_allclose(it.samples["speed"][seen], np.interp(time, moment, omega)[seen], atol=3.0)
+    np.testing.assert_allclose(it.samples["u_dc"][seen], np.interp(time, moment, u_dc)[seen], atol=0.25)
 
 
 @AXES
@@ -118,7 +113,7 @@ def test_a_second_fault_does_not_overwrite_the_first(board: Board, axis: int) ->
     assert faults(board, axis) == {"OVER_TEMPERATURE", "OVER_VOLTAGE"}
     later = fault_record(board, axis)
     assert (later.fault, later.tick, later.place) == (first.fault, first.tick, first.place)
-    np.testing.assert_array_equal(later.table, first.table)
+    np.testing.assert_array_equal(later.samples.table(), first.samples.table())
 
 
 @AXES
@@ -139,7 +134,7 @@ def test_a_fault_after_clearing_is_a_first_one_again(board: Board, axis: int) ->
     while board.read_raw(f"axis{axis + 1}.faults") == [0]:
         board.run(0.001)
     after = fault_record(board, axis)
-    assert (fault(after), after.place, len(after.table)) == ("OVER_VOLTAGE", "STOP", 64)
+    assert (fault(after), after.place, len(after.samples)) == ("OVER_VOLTAGE", "STOP", 64)
     assert after.tick > before.tick
-    np.testing.assert_allclose(column(after, "i_q"), 0.0, atol=7.5 * board.plant.axes[axis].i_noise)
-    assert column(after, "u_dc")[-1] > 32.5
+    np.testing.assert_allclose(after.samples["i_q"], 0.0, atol=7.5 * board.plant.axes[axis].i_noise)
+    assert after.samples["u_dc"][-1] > 32.5

@@ -14,7 +14,7 @@ from servo_twin.validation.experiments.outcome import Row
 from servo_twin.validation.timing import deadlines, picture
 from servo_twin.validation.timing.chip_map import LOOPS, SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.validation.timing.figures import pwm_cycle, start
-from servo_twin.validation.timing.trace import Kind, Trace
+from servo_twin.validation.timing.trace import ChipTrace, Kind
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 PERIOD = 6250
@@ -62,8 +62,8 @@ def ideal() -> list[Entry]:
     return entries
 
 
-def trace(entries: list[Entry]) -> Trace:
-    return Trace(np.array(sorted(entries, key=lambda entry: entry[0]), dtype=ENTRY))
+def trace(entries: list[Entry]) -> ChipTrace:
+    return ChipTrace(np.array(sorted(entries, key=lambda entry: entry[0]), dtype=ENTRY))
 
 
 def wrong(rows: list[Row]) -> set[str]:
@@ -262,10 +262,10 @@ def test_intervals_that_began_before_the_recording_are_left_out() -> None:
     gates: NDArray[np.void] = np.array(
         [(10, 3, 0, 1), (20, 3, 0, 0), (30, 3, 0, 1), (45, 3, 0, 0), (50, 3, 0, 1)], dtype=ENTRY
     )
-    assert Trace(gates).intervals(0, 0).tolist() == [[30, 45]]
-    assert Trace(gates[:0]).intervals(0, 0).shape == (0, 2)
+    assert ChipTrace(gates).intervals(0, 0).tolist() == [[30, 45]]
+    assert ChipTrace(gates[:0]).intervals(0, 0).shape == (0, 2)
 
 
 def test_handlers_are_paired() -> None:
     runs = np.array([(5, 9, 85, 0), (10, 8, 85, 1), (20, 9, 85, 0), (30, 8, 85, 1)], dtype=ENTRY)
-    assert Trace(runs).handlers(85).tolist() == [[10, 20]]
+    assert ChipTrace(runs).handlers(85).tolist() == [[10, 20]]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.recorder_setup import RecorderSetup, setup_from_message, setup_message
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.fault_injection import HotPowerStage
 from servo_twin.lockstep.bursts import BurstAnswer
@@ -40,22 +42,21 @@ def begin(rig: TwinRig, setup: RecorderSetup) -> None:
     rig.board.sample(setup.recorder, elements, setup.points)
 
 
-def end(rig: TwinRig, setup: RecorderSetup) -> tuple[list[str], NDArray[np.float64]]:
-    """Columns and table of the last points, as the bridge publishes them."""
+def end(rig: TwinRig, setup: RecorderSetup) -> Trace:
+    """The last points, as the bridge publishes them."""
     points = rig.board.sampled()
     rig.board.end_sampling()
     every = setup.period_ns // (SLOW.period_ns if setup.recorder else PERIOD_NS)
     points = points[3::every]  # the divider begins anywhere
-    columns = [
-        points[field] * CATALOGUE[name.partition("[")[0]].lsb
+    columns: dict[str, NDArray[Any]] = {
+        name: points[field] * CATALOGUE[name.partition("[")[0]].lsb
         for field, name in zip(points.dtype.names or (), setup.names, strict=True)
-    ]
-    columns[0] = columns[0] + rig.tick_base
-    stamps = EPOCH_NS + columns[0].astype(np.int64) * PERIOD_NS
-    seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
-    times = (np.arange(len(points)) - len(points) // 2) * setup.period_ns * 1e-9
-    table = np.column_stack([*columns, times, seconds, nanoseconds]).astype(np.float64)
-    return [*setup.names, topics.BURST_TIME, *topics.STAMP_COLUMNS], table
+    }
+    columns["tick"] = columns["tick"] + rig.tick_base
+    columns[topics.BURST_TIME] = (np.arange(len(points)) - len(points) // 2) * setup.period_ns * 1e-9
+    stamps = EPOCH_NS + columns["tick"].astype(np.int64) * PERIOD_NS
+    columns |= dict(zip(topics.STAMP_COLUMNS, np.divmod(stamps, 1_000_000_000), strict=True))
+    return Trace(0.0, {name: column.astype(np.float64) for name, column in columns.items()})
 
 
 def answer(rig: TwinRig) -> BurstAnswer:
@@ -64,13 +65,20 @@ def answer(rig: TwinRig) -> BurstAnswer:
     return answers[0]
 
 
+def signals(burst: BurstAnswer) -> tuple[Trace, Trace]:
+    """Signals of the twin and residual."""
+    assert burst.twin is not None
+    assert burst.residual is not None
+    return burst.twin, burst.residual
+
+
 def recorded(rig: TwinRig, setup: RecorderSetup, turns: tuple[float, float] = (2.0, -1.0)) -> BurstAnswer:
     """Answer of the twin to a burst recorded in a move."""
     begin(rig, setup)
     rig.move(turns, 0.06)
-    columns, table = end(rig, setup)
+    points = end(rig, setup)
     rig.run(0.1)
-    rig.twin.add_burst("a burst", columns, table)
+    rig.twin.add_burst("a burst", points)
     rig.twin.set_recorder(None)
     return answer(rig)
 
@@ -82,12 +90,12 @@ def test_residual_of_identical_boards_is_exactly_zero(setup: RecorderSetup) -> N
         burst = recorded(rig, setup)
         assert burst.note == ""
         assert burst.label == "a burst"
-        assert list(burst.columns) == [*setup.names, topics.BURST_TIME, *topics.STAMP_COLUMNS]
-        width = len(setup.names)
-        assert np.ptp(burst.twin[:, 1]) > 0.0
-        assert not burst.residual[:, 1:width].any()
-        for k in (0, *range(width, width + 3)):
-            assert burst.residual[:, k].tolist() == burst.twin[:, k].tolist()
+        twin, residual = signals(burst)
+        unchanged = ["tick", topics.BURST_TIME, *topics.STAMP_COLUMNS]
+        assert list(twin.columns) == list(residual.columns) == [*setup.names, *unchanged[1:]]
+        assert np.ptp(twin[setup.names[1]]) > 0.0
+        assert not residual.table(setup.names[1:]).any()
+        assert residual.table(unchanged).tolist() == twin.table(unchanged).tolist()
 
 
 def test_residual_of_another_plant_is_the_difference_of_the_signals() -> None:
@@ -95,13 +103,13 @@ def test_residual_of_another_plant_is_the_difference_of_the_signals() -> None:
     with TwinRig(real_seed=7, twin_seed=7, plant=plant.with_axis(0, r_s=2.0 * plant.axes[0].r_s)) as rig:
         rig.enable_axes()
         burst = recorded(rig, FAST)
-        width = len(FAST.names)
+        _, residual = signals(burst)
         assert burst.note == ""
-        worst = dict(zip(burst.columns, np.abs(burst.residual).max(axis=0), strict=True))
+        worst = {name: np.abs(column).max() for name, column in residual.columns.items()}
         assert worst["axis1.i_q"] > 0.01
         assert worst["axis1.position"] < 0.5, "in coordinates of the real axis"
         assert worst["axis1.theta_e"] < 1.0, "wrapped to half a revolution"
-        assert not np.isnan(burst.residual[:, :width]).any()
+        assert not np.isnan(residual.table(FAST.names)).any()
 
 
 def test_a_twin_synchronised_later_has_the_ticks_and_positions_of_the_board() -> None:
@@ -115,38 +123,38 @@ def test_a_twin_synchronised_later_has_the_ticks_and_positions_of_the_board() ->
         assert burst.note == (
             "no residual of axis1.i_a, axis1.theta_e, axis2.duty_a: the twin's shaft has another electrical angle"
         )
-        assert burst.twin[0, 0] > 3 << 32
-        columns = list(burst.columns)
+        twin, residual = signals(burst)
+        assert twin["tick"][0] > 3 << 32
         for name, limit in (("axis1.position", 0.02), ("axis2.position_ref", 1e-9)):
-            assert np.abs(burst.residual[:, columns.index(name)]).max() <= limit, name
-        assert np.ptp(burst.twin[:, columns.index("axis2.position_ref")]) > 1.0
-        assert np.isnan(burst.residual[:, columns.index("axis1.theta_e")]).all()
+            assert np.abs(residual[name]).max() <= limit, name
+        assert np.ptp(twin["axis2.position_ref"]) > 1.0
+        assert np.isnan(residual["axis1.theta_e"]).all()
 
 
 def test_a_burst_waits_for_a_lagging_twin(rig: TwinRig) -> None:
     begin(rig, FAST)
     rig.listening = False
     rig.run(0.1)
-    columns, table = end(rig, FAST)
-    rig.twin.add_burst("", columns, table)
+    points = end(rig, FAST)
+    rig.twin.add_burst("", points)
     rig.twin.set_recorder(None)
     assert rig.twin.burst_answers() == []
     rig.listening = True
     rig.run(0.1)
     assert answer(rig).note == ""
     rig.run(2.2)
-    rig.twin.add_burst("", columns, table)
+    rig.twin.add_burst("", points)
     assert answer(rig).note == "the twin was started after the set-up of the recorder", "sampled only when armed"
 
 
 def test_variables_without_a_twin_value_are_omitted_and_reported(rig: TwinRig) -> None:
     begin(rig, replace(FAST, names=("tick", "cmd.position", "applied_tick", "axis2.i_q")))
     rig.run(0.1)
-    columns, table = end(rig, replace(FAST, names=("tick", "cmd.position[0]", "applied_tick", "axis2.i_q")))
+    points = end(rig, replace(FAST, names=("tick", "cmd.position[0]", "applied_tick", "axis2.i_q")))
     rig.run(0.1)
-    rig.twin.add_burst("", columns, table)
+    rig.twin.add_burst("", points)
     burst = answer(rig)
-    assert list(burst.columns) == ["tick", "axis2.i_q", topics.BURST_TIME, *topics.STAMP_COLUMNS]
+    assert list(signals(burst)[0].columns) == ["tick", "axis2.i_q", topics.BURST_TIME, *topics.STAMP_COLUMNS]
     assert burst.note == "without cmd.position[0], applied_tick (written by the host or not available in the twin)"
 
 
@@ -162,9 +170,9 @@ def test_an_unsuitable_setup_is_refused_with_the_reason(rig: TwinRig, setup: Rec
     begin(rig, FAST)
     rig.twin.set_recorder(setup)
     rig.run(0.1)
-    rig.twin.add_burst("", *end(rig, FAST))
+    rig.twin.add_burst("", end(rig, FAST))
     burst = answer(rig)
-    assert (len(burst.twin), len(burst.residual)) == (0, 0)
+    assert (burst.twin, burst.residual) == (None, None)
     assert burst.note == note
 
 
@@ -174,22 +182,21 @@ def test_samples_before_a_resynchronisation_are_not_available(rig: TwinRig) -> N
     first = rig.real.tick
     rig.twin.resync("resynchronisation requested")
     rig.run(0.2)
-    burst_columns, table = end(rig, FAST)
+    points = end(rig, FAST)
     rig.run(0.05)
-    early = np.concatenate([table[:1] * (0.0,), table])
-    early[0, 0] = first
-    rig.twin.add_burst("", burst_columns, early)
+    early = np.concatenate([[first], points["tick"][:-1]])
+    rig.twin.add_burst("", points.changed(tick=early))
     note = answer(rig).note
     assert note.startswith(f"the burst starts at tick {first}; the twin has samples from tick ")
     assert note.endswith(" on (resynchronisation requested)")
-    table[:, 0] += 16_000.0
-    rig.twin.add_burst("", burst_columns, table)
+    later = points.changed(tick=points["tick"] + 16_000.0)
+    rig.twin.add_burst("", later)
     rig.twin.set_recorder(FAST)
     assert (
         answer(rig).note
         == "the twin lags: the recorder was set up again before the twin reached the end of the previous burst"
     )
-    rig.twin.add_burst("", burst_columns, table)
+    rig.twin.add_burst("", later)
     rig.twin.resync("asked again")
     assert answer(rig).note == "the twin does not follow the board: asked again"
 
@@ -201,15 +208,16 @@ def test_no_residual_while_the_boards_are_not_comparable() -> None:
         rig.run(0.1)
         rig.board.inject(HotPowerStage(0, 200.0))
         rig.run(0.1)
-        columns, table = end(rig, FAST)
+        points = end(rig, FAST)
         rig.run(0.1)
-        rig.twin.add_burst("", columns, table)
+        rig.twin.add_burst("", points)
         burst = answer(rig)
-        apart = np.isnan(burst.residual[:, 1])
+        twin, residual = signals(burst)
+        apart = np.isnan(residual[FAST.names[1]])
         assert 0 < apart.sum() < len(apart)
         assert not apart[0]
-        assert not burst.residual[0, 1 : len(FAST.names)].any()
-        assert not np.isnan(burst.twin).any()
+        assert not residual.table(FAST.names[1:])[0].any()
+        assert not np.isnan(twin.table()).any()
         assert burst.note == f"no residual at {apart.sum()} of {len(apart)} points: axis1 is FAULT, its twin RUN/SPIN"
 
 

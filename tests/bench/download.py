@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from chain import Chain, wait_for  # noqa: E402
-from servo_bridge.bursts.recording import Phase, Recording, piece_size  # noqa: E402
+from servo_bridge.bursts.recording import BurstRecording, Phase, piece_size  # noqa: E402
 from servo_bridge.bursts.request import BurstRequest  # noqa: E402
 from servo_bridge.telemetry import telemetry_variables  # noqa: E402
 from servo_bridge.wire.link import Link, LinkConfig, LinkState  # noqa: E402
@@ -69,7 +69,7 @@ def best_of(chain: Chain) -> dict[str, Any]:
 
 def download(link: Link, catalogue: Catalogue, samples: list[float], baud: int, usual: float) -> dict[str, Any]:
     """Fill the memory of a recorder and read it during telemetry."""
-    recording = Recording(BurstRequest(NAMES), catalogue, piece_size(link.layout.size, baud))
+    recording = BurstRecording(BurstRequest(NAMES), catalogue, piece_size(link.layout.size, baud))
     while recording.phase is not Phase.READING:
         link.call(recording.step).result(10.0)
         time.sleep(recording.pause)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from servo_msgs_py.convert import snapshot_message
+from servo_msgs_py.convert import trace_message
 from servo_msgs_py.recorder_setup import setup_message
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_msgs_py.trace import Trace
@@ -18,7 +18,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
 from servo_bridge.board_context import BoardContext
-from servo_bridge.bursts.recording import POLL, Phase, Recording
+from servo_bridge.bursts.recording import POLL, BurstRecording, Phase
 from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered, error_of
@@ -55,7 +55,7 @@ class RecordService:
         self._context = context
         self._piece = piece
         self._times = times
-        self._recording: Recording | None = None
+        self._recording: BurstRecording | None = None
         self._answer: Future[Outcome] | None = None
         self.request = request  # a change applies to the next burst
         self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, latched_qos())
@@ -75,7 +75,7 @@ class RecordService:
         if begin:
             answer: Future[Outcome] = Future()
             self._answer = answer
-            self._recording = Recording(self.request.with_tick(), self._context.catalogue, self._piece)
+            self._recording = BurstRecording(self.request.with_tick(), self._context.catalogue, self._piece)
             self._step()
             return answer
         if self._recording is None:
@@ -89,7 +89,7 @@ class RecordService:
         if recording is not None:
             self._context.when_done(self._context.call(recording.step), partial(self._stepped, recording))
 
-    def _stepped(self, recording: Recording, step: Future[Trace | None]) -> None:
+    def _stepped(self, recording: BurstRecording, step: Future[Trace | None]) -> None:
         if recording is not self._recording:
             return
         error = error_of(step)
@@ -125,7 +125,7 @@ class RecordService:
         if recording is not None:
             self._setups.publish(setup_message(None))
 
-    def _publish(self, burst: Trace, recording: Recording) -> None:
+    def _publish(self, burst: Trace, recording: BurstRecording) -> None:
         how = "" if recording.triggered or recording.request.trigger is None else ", stopped before the trigger"
         self._publisher.publish(table_of(burst, f"{recording.text}{how}", self._times))
         self._context.info(f"recorded {len(burst)} points{how}")
@@ -146,7 +146,4 @@ def table_of(burst: Trace, label: str, times: Callable[[Any], tuple[Any, Any]]) 
     ticks, stamps = times(burst[TICK].astype(np.int64))
     added = (ticks, burst.time, *np.divmod(stamps, 1_000_000_000))
     names = (TICK, topics.BURST_TIME, *topics.STAMP_COLUMNS)
-    complete = burst.changed(**dict(zip(names, added, strict=True)))
-    message = snapshot_message(list(complete.columns), complete.table(complete.columns).tolist())
-    message.layout.dim[0].label = label
-    return message
+    return trace_message(burst.changed(**dict(zip(names, added, strict=True))), label)

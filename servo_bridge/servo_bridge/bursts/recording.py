@@ -52,7 +52,7 @@ class Phase(Enum):
     DONE = "done"
 
 
-class Recording:
+class BurstRecording:
     """One recording.
 
     Parameters

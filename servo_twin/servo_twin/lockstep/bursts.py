@@ -12,12 +12,13 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 from servo_msgs_py.recorder_setup import RecorderSetup
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from servo_msgs_py import topics
@@ -53,11 +54,11 @@ class BurstAnswer:
     """Recording of the twin for a burst of the board."""
 
     label: str  # label of the burst
-    columns: Sequence[str]  # columns of the burst that the twin has, in the same order
-    twin: NDArray[np.float64]  # (points, columns), SI, in ticks and positions of the real board; may be empty
-    residual: NDArray[np.float64]
-    """(points, columns), real minus twin, angles and positions wrapped to half their range; ticks, times and stamps
-    unchanged; NaN where the boards are not comparable."""
+    twin: Trace | None
+    """The columns of the burst that the twin has, SI, in ticks and positions of the real board; None: no samples."""
+    residual: Trace | None
+    """Real minus twin, angles and positions wrapped to half their range; ticks, times and stamps unchanged; NaN where
+    the boards are not comparable; None as `twin`."""
     note: str  # missing parts and reasons; empty: complete
 
 
@@ -66,8 +67,7 @@ class _Burst:
     """Received burst that waits for the twin."""
 
     label: str
-    columns: Sequence[str]
-    table: NDArray[np.float64]  # (points, columns), SI
+    points: Trace
     ticks: NDArray[np.int64]  # (points,), of the real board
 
 
@@ -178,17 +178,15 @@ class BurstSampler:
             self._alignments.append(alignment)
         self._settle(alignment.tick)
 
-    def add_burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64], tick: int | None) -> None:
+    def add_burst(self, label: str, points: Trace, tick: int | None) -> None:
         """Process a burst of the real board.
 
         Parameters
         ----------
         label : str
             Label of the burst.
-        columns : sequence of str
-            Columns, including ``tick``.
-        table : array of float, shape (points, columns)
-            Values, SI.
+        points : Trace
+            Values [SI] with the column ``tick``.
         tick : int or None
             Tick up to which both boards have run.
 
@@ -197,11 +195,11 @@ class BurstSampler:
         ValueError
             If there are no ticks.
         """
-        if _TICK not in columns or not len(table):
+        if _TICK not in points.columns or not len(points):
             raise ValueError("recording without ticks")
         if self._burst is not None:
             self._refuse(self._burst, "the twin lags: a new burst arrived before the twin had sampled the previous one")
-        self._burst = _Burst(label, columns, table, table[:, columns.index(_TICK)].astype(np.int64))
+        self._burst = _Burst(label, points, points[_TICK].astype(np.int64))
         if self._replica is None:
             self._refuse(self._burst)
         elif tick is not None:
@@ -295,20 +293,23 @@ class BurstSampler:
         other_angle: Sequence[str],
         notes: Sequence[str],
     ) -> BurstAnswer:
-        columns = [name for name in burst.columns if name in _UNCHANGED or name in raw]
-        real = burst.table[:, [burst.columns.index(name) for name in columns]]
-        twin, residual = real.copy(), real.copy()
-        for k, name in enumerate(columns):
-            if name not in _UNCHANGED:
+        twin: dict[str, NDArray[Any]] = {}
+        residual: dict[str, NDArray[Any]] = {}
+        omitted: list[str] = []
+        for name, real in burst.points.columns.items():
+            if name in _UNCHANGED:
+                twin[name] = residual[name] = real
+            elif name in raw:
                 variable, _ = self._elements[name]
-                twin[:, k] = raw[name] * variable.lsb
-                residual[:, k] = _difference(variable, real[:, k], twin[:, k])
-                residual[not_comparable | (name in other_angle), k] = np.nan
-        omitted = [name for name in burst.columns if name not in columns]
+                twin[name] = raw[name] * variable.lsb
+                residual[name] = _difference(variable, real, twin[name])
+                residual[name][not_comparable | (name in other_angle)] = np.nan
+            else:
+                omitted.append(name)
         missing = (
             [f"without {', '.join(omitted)} (written by the host or not available in the twin)"] if omitted else []
         )
-        return BurstAnswer(burst.label, columns, twin, residual, "; ".join([*missing, *notes]))
+        return BurstAnswer(burst.label, Trace(0.0, twin), Trace(0.0, residual), "; ".join([*missing, *notes]))
 
 
 def _to_real_board(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]) -> list[str]:
@@ -339,8 +340,7 @@ def _to_real_board(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]
 
 
 def _empty_answer(burst: _Burst, reason: str) -> BurstAnswer:
-    empty = np.empty((0, 0))
-    return BurstAnswer(burst.label, (), empty, empty, reason)
+    return BurstAnswer(burst.label, None, None, reason)
 
 
 def _signed(numbers: NDArray[np.int64]) -> NDArray[np.int64]:

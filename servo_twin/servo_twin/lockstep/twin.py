@@ -28,6 +28,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.timed_points import shifted_points
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
@@ -168,15 +169,15 @@ class Twin:
         if self._replica is not None and self._last is not None:
             self._bursts.begin(self._replica, self._alignment(self._last))
 
-    def add_burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """Add a recording of the real board, a table (points, columns), SI.
+    def add_burst(self, label: str, points: Trace) -> None:
+        """Add a recording of the real board [SI].
 
         Raises
         ------
         ValueError
             If there are no ticks.
         """
-        self._bursts.add_burst(label, columns, table, self.tick)
+        self._bursts.add_burst(label, points, self.tick)
 
     def add_samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Add samples of the real board, a table (samples, columns), SI, in the order of their ticks.

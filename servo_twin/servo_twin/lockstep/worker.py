@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.recorder_setup import RecorderSetup
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.lockstep.blocks import Blocks
@@ -100,9 +101,9 @@ class TwinWorker:
         """Pass the set-up of the recorder of the real board; None: the recorder is idle."""
         self._post(lambda: self._twin.set_recorder(setup))
 
-    def add_burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """Pass a recording with ticks: a table (points, columns), SI."""
-        self._post(lambda: self._twin.add_burst(label, columns, table))
+    def add_burst(self, label: str, points: Trace) -> None:
+        """Pass a recording with ticks [SI]."""
+        self._post(lambda: self._twin.add_burst(label, points))
 
     def set_blocks(self, blocks: Blocks) -> None:
         """Pass the configuration blocks of the real board."""

@@ -20,6 +20,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand, flag_texts, state_label
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
 from servo_msgs_py.topics import BURST_TIME, STAMP_COLUMNS
+from servo_msgs_py.trace import Trace
 
 from servo_twin.view import scene
 from servo_twin.view.board_time import BoardTime
@@ -137,9 +138,9 @@ class Viewer:
         """Add telemetry of the twin, at ticks of the board."""
         self._post(lambda: self._rows(scene.TWIN, columns, table), follows=True)
 
-    def burst(self, source: str, columns: Sequence[str], table: _Table) -> None:
+    def burst(self, source: str, points: Trace) -> None:
         """Add a burst with its ticks; `source` is `scene.BOARD`, `scene.TWIN` or `scene.RESIDUAL`."""
-        self._post(lambda: self._burst(source, columns, table), follows=True)
+        self._post(lambda: self._burst(source, points), follows=True)
 
     def applied(self, command: AppliedCommand) -> None:
         """Add an applied command of the board; timed points define the span of a path."""
@@ -293,15 +294,15 @@ class Viewer:
                 self._shaft_angles[axis][source].add(times, angles)
         self._curves[source].add(times, points)
 
-    def _burst(self, source: str, columns: Sequence[str], table: _Table) -> None:
-        if not len(table) or math.isinf(self._time.first):
+    def _burst(self, source: str, points: Trace) -> None:
+        if not len(points) or math.isinf(self._time.first):
             return
-        ticks, _ = _clocks(columns, table)
+        ticks, _ = _clocks(list(points.columns), points.table())
         omitted = ("tick", BURST_TIME, *STAMP_COLUMNS)
-        points = {
-            scene.burst_entity(name, source): table[:, k] for k, name in enumerate(columns) if name not in omitted
+        curves = {
+            scene.burst_entity(name, source): values for name, values in points.columns.items() if name not in omitted
         }
-        self._bursts[source].add(self._time.of_ticks(ticks), points)
+        self._bursts[source].add(self._time.of_ticks(ticks), curves)
 
     def _path(
         self, times: NDArray[np.float64], columns: Sequence[str], table: _Table, inside: NDArray[np.bool_]

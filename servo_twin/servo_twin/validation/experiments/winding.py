@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.trace import Trace
 from servo_tuning.reading import parse
 from servo_tuning.winding import STEP_TICKS, Winding
 
@@ -17,7 +17,7 @@ from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.simulation import enable
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import SETTLED, TICK, fresh_board, set_up, word
+from servo_twin.validation.experiments.rig import SETTLED, TICK, fresh_board, set_up
 
 NAME: Final = "winding"
 HELP: Final = """\
@@ -77,22 +77,10 @@ CASES: Final = (
 )
 
 
-@dataclass(frozen=True)
-class TimeSeries:
-    """One axis over time."""
-
-    time: NDArray[np.float64]  # [s]
-    estimate: NDArray[np.float64]  # estimated temperature of the winding [deg C]
-    truth: NDArray[np.float64]  # true temperature of the winding [deg C]
-    current: NDArray[np.float64]  # set-point i_q [A]
-    winding_current: NDArray[np.float64]  # current limit of the winding in the firmware [A]
-    faults: int  # all bits that were set
-
-    @property
-    def derated_from(self) -> float | None:
-        """Time of the first derating [s]."""
-        derated = self.winding_current < 0.99 * self.winding_current.max()
-        return float(self.time[np.argmax(derated)]) if derated.any() else None
+def derated_from(series: Trace) -> float | None:
+    """Time of the first derating [s]."""
+    derated = series["winding_current"] < 0.99 * series["winding_current"].max()
+    return float(series.time[np.argmax(derated)]) if derated.any() else None
 
 
 def configured(
@@ -130,8 +118,12 @@ def configured(
     return plant, ServoConfig.of(configuration), nominal, true
 
 
-def time_series(plant: PlantConfig, seed: int, servo: ServoConfig, seconds: float = SECONDS) -> list[TimeSeries]:
-    """Run cold motors for `seconds` [s] with the largest current from the start."""
+def time_series(plant: PlantConfig, seed: int, servo: ServoConfig, seconds: float = SECONDS) -> list[Trace]:
+    """Run cold motors for `seconds` [s] with the largest current from the start.
+
+    Columns of the trace of an axis: ``winding_temperature`` estimated by the firmware and ``truth`` [deg C], the
+    set-point ``i_q_ref`` and the limit ``winding_current`` of the firmware [A], ``faults``.
+    """
     with fresh_board(plant, seed, servo) as board:
         enable(board)
         board.run(SETTLED)
@@ -141,24 +133,15 @@ def time_series(plant: PlantConfig, seed: int, servo: ServoConfig, seconds: floa
         return _record(board, seconds)
 
 
-def _record(board: Board, seconds: float) -> list[TimeSeries]:
-    ticks = round(seconds / STEP)
-    table = np.zeros((AXES, 4, ticks))
-    faults = [0] * AXES
-    for k in range(ticks):
+def _record(board: Board, seconds: float) -> list[Trace]:
+    names = ("winding_temperature", "i_q_ref", "winding_current", "faults")
+    samples: list[list[list[float]]] = [[] for _ in range(AXES)]
+    for _ in range(round(seconds / STEP)):
         board.run(STEP)
-        for axis in range(AXES):
-            estimate, current, winding_current = (
-                float(np.asarray(board.read(f"{axis_name(axis)}.{of}")).item())
-                for of in ("winding_temperature", "i_q_ref", "winding_current")
-            )
-            table[axis, :, k] = estimate, board.truth(axis).t_winding, current, winding_current
-            faults[axis] |= word(board, axis, "faults")
-    time = STEP * np.arange(1, ticks + 1, dtype=np.float64)
-    return [
-        TimeSeries(time, columns[0], columns[1], columns[2], columns[3], faults[axis])
-        for axis, columns in enumerate(table)
-    ]
+        for axis, rows in enumerate(samples):
+            values = [float(np.asarray(board.read(f"{axis_name(axis)}.{name}")).item()) for name in names]
+            rows.append([*values, board.truth(axis).t_winding])
+    return [Trace(STEP, dict(zip((*names, "truth"), np.array(rows).T, strict=True)), first=1) for rows in samples]
 
 
 @experiment(NAME)
@@ -170,28 +153,34 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for axis, (series, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
             name = f"{axis_name(axis)}, {case.name}"
             yield from figures(Judge(f"{name}: "), series, model, winding)
-            beyond = float(series.truth[-1]) - winding.maximum
+            beyond = float(series["truth"][-1]) - winding.maximum
             yield f"{name}: the winding ends {beyond:+.1f} K from its maximum of {winding.maximum:g} deg C"
             curves = (
-                Curve("winding [deg C]", series.time, series.truth),
-                Curve("estimate [deg C]", series.time, series.estimate, "--"),
-                Curve("current [0.1 A]", series.time, 10.0 * series.current),
+                Curve("winding [deg C]", series.time, series["truth"]),
+                Curve("estimate [deg C]", series.time, series["winding_temperature"], "--"),
+                Curve("current [0.1 A]", series.time, 10.0 * series["i_q_ref"]),
             )
             yield Panel(name, "time [s]", "", curves)
 
 
-def figures(judge: Judge, series: TimeSeries, model: Winding, winding: Winding) -> Iterator[Row]:
+def figures(judge: Judge, series: Trace, model: Winding, winding: Winding) -> Iterator[Row]:
     """Expected values: controller from its nominal values (`model`), winding from the resulting current."""
     until = model.time_to(model.derating, model.current)
     current, estimate = model.settled()
     truth = winding.equilibrium(current)
     rest = max(FINAL_ERROR_MAX, REMAINING_RISE_MAX * (truth - winding.ambient))
     late = 0.05 * until + 2.0 * STEP
-    yield judge("time until derating", series.derated_from, "s", until - late, until + late)
-    yield judge.near("final current", series.current[-1], "A", current, 0.02 * current)
-    yield judge.near("final estimate", series.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
-    yield judge("final winding temperature", series.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
-    yield judge.none("faults", series.faults)
+    yield judge("time until derating", derated_from(series), "s", until - late, until + late)
+    yield judge.near("final current", series["i_q_ref"][-1], "A", current, 0.02 * current)
+    yield judge.near("final estimate", series["winding_temperature"][-1], "deg C", estimate, FINAL_ERROR_MAX)
+    yield judge("final winding temperature", series["truth"][-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
+    yield judge.none("faults", int(np.count_nonzero(series["faults"])))
     if winding == model:
         step = model.loss(model.current, model.derating) / model.capacity * STEP_TICKS * TICK
-        yield judge("error of the estimate", np.abs(series.estimate - series.truth).max(), "K", 0.0, step + ERROR_MAX)
+        yield judge(
+            "error of the estimate",
+            np.abs(series["winding_temperature"] - series["truth"]).max(),
+            "K",
+            0.0,
+            step + ERROR_MAX,
+        )

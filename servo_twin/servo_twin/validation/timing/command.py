@@ -24,7 +24,7 @@ from servo_twin.validation.timing.chip_map import VECTOR_M1
 from servo_twin.validation.timing.figures import pwm_cycle, start
 from servo_twin.validation.timing.picture import draw
 from servo_twin.validation.timing.scenarios import SCENARIOS, STANDARD, Scenario
-from servo_twin.validation.timing.trace import Kind, Trace
+from servo_twin.validation.timing.trace import ChipTrace, Kind
 
 HELP: Final = """\
 Timing of both motors on one chip, simulated from the register values at level registers: carriers with a phase shift of
@@ -39,8 +39,8 @@ ENTRIES: Final = 100  # entries of a trace per PWM period
 class Measured:
     """Recording of a scenario."""
 
-    boot: Trace  # from power-on until both loops run
-    trace: Trace
+    boot: ChipTrace  # from power-on until both loops run
+    trace: ChipTrace
     first_m1: int  # time of the first M1 since reset [clocks]
     late_loops: int  # counter of the board at the end
     overruns: int  # counter of the board at the end
@@ -73,12 +73,12 @@ def record(
         If the axes do not reach the state of the scenario.
     """
     with Board(plant, seed=seed, level="registers", core=core, baud=scenario.baud) as board:
-        boot = Trace(board.trace(round(START_TIME * 1e9)))
+        boot = ChipTrace(board.trace(round(START_TIME * 1e9)))
         scenario.prepare(board)
         modify(board)
         scenario.during(board)
         periods = round(scenario.seconds * 1e9 / PERIOD_NS)
-        trace = Trace(board.trace(board.time_ns + periods * PERIOD_NS, ENTRIES * periods))
+        trace = ChipTrace(board.trace(board.time_ns + periods * PERIOD_NS, ENTRIES * periods))
         late, overruns = (int(board.read_raw(name)[0]) for name in ("late_loops", "receiver_overruns"))
     starts = boot.clocks(Kind.ENTER, VECTOR_M1)
     return Measured(boot, trace, int(starts[0]) if starts.size else 0, late, overruns)
@@ -89,14 +89,14 @@ def measure(
     seed: int,
     modify: Callable[[Board], None] = lambda board: None,
     core: CoreSpeed | None = None,
-) -> tuple[Outcome, Trace, Trace]:
+) -> tuple[Outcome, ChipTrace, ChipTrace]:
     """Record the start, and the PWM cycle with both shafts rotating; parameters: see `record`.
 
     Returns
     -------
     Outcome
         Figures with bounds.
-    Trace, Trace
+    ChipTrace, ChipTrace
         Traces of the PWM cycle and of the start.
     """
     turning = record(STANDARD, plant, seed, core, modify)

@@ -24,7 +24,7 @@ from servo_twin.core_speed import DEFAULT_FILE, CoreSpeed
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
 from servo_twin.validation.timing.chip_map import VECTOR_M1, VECTOR_M2
-from servo_twin.validation.timing.trace import CLOCK, Trace
+from servo_twin.validation.timing.trace import CLOCK, ChipTrace
 
 HELP: Final = """\
 Mean widths of the pulses at the scope pins F6 (M1) and F7 (M2) on the virtual board, in states that are easy to set up
@@ -124,7 +124,7 @@ def instructions(core: Path, plant: PlantConfig, seed: int) -> dict[str, dict[st
     with Board(plant, seed=seed, level="registers", core=CoreSpeed.parse(numbers)) as board:
         for state in STATES:
             _set_up(board, state)
-            trace = Trace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
+            trace = ChipTrace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
             result[state] = {
                 handler: float(np.mean(np.diff(trace.handlers(vector)))) - entry for handler, vector in HANDLERS.items()
             }

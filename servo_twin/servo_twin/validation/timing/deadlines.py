@@ -17,7 +17,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.validation.experiments.outcome import Bound, Row
 from servo_twin.validation.timing.chip_map import LOOPS, SLOTS, Loop
-from servo_twin.validation.timing.trace import CLOCK, Kind, Trace
+from servo_twin.validation.timing.trace import CLOCK, ChipTrace, Kind
 
 PERIOD: Final = round(PERIOD_NS * 1e-9 / CLOCK)  # PWM period [clocks]
 MARGIN_MIN: Final = 0.20
@@ -46,12 +46,12 @@ class Handler:
     busy: float  # fraction of the time of the core
 
 
-def handlers(trace: Trace, first_m1: int) -> list[Handler]:
+def handlers(trace: ChipTrace, first_m1: int) -> list[Handler]:
     """Handlers by loop and slot.
 
     Parameters
     ----------
-    trace : Trace
+    trace : ChipTrace
         Trace of several slow ticks.
     first_m1 : int
         Time of the first M1 after reset, in PWM period 1 [clocks].
@@ -73,7 +73,7 @@ class Runs:
     with_deadline: NDArray[np.bool_]  # false: no release because the outputs are off, no deadline
 
 
-def runs_of(trace: Trace, loop: Loop) -> Runs:
+def runs_of(trace: ChipTrace, loop: Loop) -> Runs:
     """Runs of the handler of a loop with the sample in the trace."""
     runs = trace.handlers(loop.vector)
     cycles = trace.clocks(Kind.CYCLE, loop.phases[0])
@@ -90,7 +90,7 @@ def runs_of(trace: Trace, loop: Loop) -> Runs:
     return Runs(runs[:, 0], runs[:, 1], sample, load, released, has_released | ~_outputs_off(trace, loop, runs))
 
 
-def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handler]:
+def _of_loop(trace: ChipTrace, loop: Loop, first_m1: int, span: float) -> list[Handler]:
     runs = runs_of(trace, loop)
     # M2 is half a period after M1; both may start late, and M1 a few clocks early.
     slots = (1 + (runs.begin - first_m1 + PERIOD // 8) // PERIOD) % SLOW_PERIODS
@@ -129,7 +129,7 @@ def _first_within(instants: NDArray[np.int64], runs: NDArray[np.int64]) -> tuple
     return np.where(within, first, runs[:, 1]), within
 
 
-def _outputs_off(trace: Trace, loop: Loop, runs: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _outputs_off(trace: ChipTrace, loop: Loop, runs: NDArray[np.int64]) -> NDArray[np.bool_]:
     """True if the outputs of a motor are known to be off at the start of a run."""
     writes = trace.of(Kind.WRITE, loop.outputs)
     if writes.size == 0:
@@ -138,7 +138,7 @@ def _outputs_off(trace: Trace, loop: Loop, runs: NDArray[np.int64]) -> NDArray[n
     return np.asarray((last >= 0) & (writes["b"][np.clip(last, 0, None)] & OUTPUTS == 0))
 
 
-def busy(trace: Trace) -> float:
+def busy(trace: ChipTrace) -> float:
     """Utilisation of the core by all handlers (0 .. 1); nested handlers are counted once."""
     depth, begin, total = 0, 0, 0
     for entry in trace.entries[np.isin(trace.entries["kind"], (Kind.ENTER, Kind.LEAVE))]:
@@ -153,7 +153,7 @@ def busy(trace: Trace) -> float:
     return total / float(clocks[-1] - clocks[0]) if clocks.size > 1 else 0.0
 
 
-def rows(trace: Trace, first_m1: int, what: str = "") -> list[Row]:
+def rows(trace: ChipTrace, first_m1: int, what: str = "") -> list[Row]:
     """Rows for each kind of handler, and for the core.
 
     Parameters

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from servo_twin.validation.experiments.outcome import Bound, Row
 from servo_twin.validation.timing.chip_map import PHASES, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
-from servo_twin.validation.timing.trace import CLOCK, Kind, Trace
+from servo_twin.validation.timing.trace import CLOCK, ChipTrace, Kind
 
 PWM: Final = 16e3  # [Hz]
 PAIRS: Final = 3  # pairs of samples per motor (F35)
@@ -32,7 +32,7 @@ DATA_AGE_MAX: Final = 5e-6
 """Longest time from the data to the interrupt that reads them [s]; later data belong to another half period."""
 
 
-def pwm_cycle(trace: Trace) -> list[Row]:
+def pwm_cycle(trace: ChipTrace) -> list[Row]:
     """Rows for the PWM cycle t0..t3, from a trace of several hundred periods with both axes in closed-loop control."""
     return [*_carriers(trace), *_samples(trace), *_scans(trace), *_interrupts(trace)]
 
@@ -40,7 +40,7 @@ def pwm_cycle(trace: Trace) -> list[Row]:
 # ---- carriers (F33, F34) ---------------------------------------------------------------------------------------------
 
 
-def _carriers(trace: Trace) -> list[Row]:
+def _carriers(trace: ChipTrace) -> list[Row]:
     rows: list[Row] = []
     for motor, phases in zip(MOTORS, PHASES, strict=True):
         cycles = [trace.clocks(Kind.CYCLE, submodule) for submodule in phases]
@@ -70,7 +70,7 @@ def _apart(counters: Sequence[NDArray[np.int64]]) -> float | None:
 # ---- samples (F34) ---------------------------------------------------------------------------------------------------
 
 
-def _samples(trace: Trace) -> list[Row]:
+def _samples(trace: ChipTrace) -> list[Row]:
     rows: list[Row] = []
     for number, (motor, phases) in enumerate(zip(MOTORS, PHASES, strict=True)):
         own, foreign = number * PAIRS, (1 - number) * PAIRS + 1
@@ -101,7 +101,7 @@ def _from_centre(intervals: NDArray[np.int64], instants: NDArray[np.int64]) -> N
 # ---- scans (F35) -----------------------------------------------------------------------------------------------------
 
 
-def _scans(trace: Trace) -> list[Row]:
+def _scans(trace: ChipTrace) -> list[Row]:
     """Rows for the scans: six pairs, with a pause after the third."""
     ends = trace.clocks(Kind.SCAN_END, 0)
     samples = trace.of(Kind.SAMPLE)
@@ -137,7 +137,7 @@ def _same(
 # ---- interrupts (F34, F38) -------------------------------------------------------------------------------------------
 
 
-def _interrupts(trace: Trace) -> list[Row]:
+def _interrupts(trace: ChipTrace) -> list[Row]:
     rows: list[Row] = []
     periods = trace.clocks(Kind.CYCLE, PHASES[0][0])
     ready = (trace.clocks(Kind.SAMPLE, PAIRS - 1), trace.clocks(Kind.SCAN_END, 0))
@@ -159,7 +159,7 @@ def _interrupts(trace: Trace) -> list[Row]:
     return rows
 
 
-def _order(trace: Trace) -> float | None:
+def _order(trace: ChipTrace) -> float | None:
     """Fraction of the periods with the order: currents of motor 1, M1, currents of motor 2, M2."""
     begins = (
         trace.clocks(Kind.SAMPLE, 0),
@@ -184,7 +184,7 @@ def _overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> float:
 # ---- start (4.3.3) ---------------------------------------------------------------------------------------------------
 
 
-def start(trace: Trace) -> list[Row]:
+def start(trace: ChipTrace) -> list[Row]:
     """Rows for the start interrupt, from a trace from power-on until both loops run."""
     runs = trace.handlers(VECTOR_START)
     writes = trace.of(Kind.WRITE)

@@ -13,21 +13,21 @@ from servo_msgs_py.figure import new_figure, write_figure
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.timing.chip_map import LOOPS, PHASES, VECTOR_M1, VECTOR_M2, VECTOR_START, Loop
 from servo_twin.validation.timing.deadlines import PERIOD, runs_of
-from servo_twin.validation.timing.trace import CLOCK, Kind, Trace
+from servo_twin.validation.timing.trace import CLOCK, ChipTrace, Kind
 
 _US: Final = CLOCK * 1e6
 _COLOURS: Final = ("tab:blue", "tab:orange")
 _PAIRS: Final = 3
 
 
-def draw(pwm_cycle: Trace, start: Trace, path: Path) -> None:
+def draw(pwm_cycle: ChipTrace, start: ChipTrace, path: Path) -> None:
     """Draw the PWM cycle of both loops and the start.
 
     Parameters
     ----------
-    pwm_cycle : Trace
+    pwm_cycle : ChipTrace
         Several periods with both axes in closed-loop control.
-    start : Trace
+    start : ChipTrace
         Trace from power-on until both loops run.
     path : Path
         File of the picture.
@@ -50,12 +50,12 @@ def draw(pwm_cycle: Trace, start: Trace, path: Path) -> None:
     write_figure(figure, path)
 
 
-def margins(trace: Trace, loop: Loop) -> NDArray[np.int64]:
+def margins(trace: ChipTrace, loop: Loop) -> NDArray[np.int64]:
     """Intervals from the release of the duties to their load; a missed load is before the release.
 
     Parameters
     ----------
-    trace : Trace
+    trace : ChipTrace
     loop : Loop
 
     Returns
@@ -128,7 +128,7 @@ class _Channels:
         self._plot.set_ylim(-len(self._names) - 0.3, 0.1)
 
 
-def _timing(plot: Any, trace: Trace, begin: int, end: int) -> None:
+def _timing(plot: Any, trace: ChipTrace, begin: int, end: int) -> None:
     channels = _Channels(plot, "F34: both motors on one chip", begin, end)
     for motor, (phases, colour) in enumerate(zip(PHASES, _COLOURS, strict=True), start=1):
         channels.saw(f"counter of motor {motor}", trace.clocks(Kind.CYCLE, phases[0]), colour)
@@ -149,7 +149,7 @@ def _timing(plot: Any, trace: Trace, begin: int, end: int) -> None:
     channels.finish()
 
 
-def _scan(plot: Any, trace: Trace, begin: int, end: int) -> None:
+def _scan(plot: Any, trace: ChipTrace, begin: int, end: int) -> None:
     channels = _Channels(plot, "F35: the converter's sequence, sample: pin", begin, end)
     syncs = trace.of(Kind.SYNC)
     words = ["accepted" if b else "ignored" for b in syncs["b"]]
@@ -167,7 +167,7 @@ def _scan(plot: Any, trace: Trace, begin: int, end: int) -> None:
     channels.finish()
 
 
-def _scope(plot: Any, trace: Trace, begin: int, end: int) -> None:
+def _scope(plot: Any, trace: ChipTrace, begin: int, end: int) -> None:
     channels = _Channels(plot, "F38: lower gates of phase a, both interrupts", begin, end)
     for motor, (phases, colour) in enumerate(zip(PHASES, _COLOURS, strict=True), start=1):
         channels.levels(f"motor {motor}, a, lower", trace.intervals(phases[0], 1), colour)
@@ -176,7 +176,7 @@ def _scope(plot: Any, trace: Trace, begin: int, end: int) -> None:
     channels.finish()
 
 
-def _start(plot: Any, trace: Trace) -> None:
+def _start(plot: Any, trace: ChipTrace) -> None:
     runs = trace.handlers(VECTOR_START)
     samples = trace.of(Kind.SAMPLE)
     if not (runs.size and samples.size):

@@ -29,8 +29,8 @@ class Kind(IntEnum):
     CAPTURE = 11  # capture of a timer: 4 * module + channel, value
 
 
-class Trace:
-    """A recording.
+class ChipTrace:
+    """Events of the chip in the order of time.
 
     Parameters
     ----------
