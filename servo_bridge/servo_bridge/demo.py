@@ -21,6 +21,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.utilities import remove_ros_args
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import complain, program
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
@@ -412,8 +413,7 @@ def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
     figures = report(demo.rows, demo.paths, tolerance_counts=arguments.tolerance, twin=demo.twin, speed=demo.speed)
     figures["trouble"] = trouble or None
     if arguments.json is not None:
-        arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        write_file(arguments.json, json.dumps(figures, indent=2) + "\n")
     if demo.rows:
         _info("\n" + table(demo.rows) + "\n")
     if demo.paths:

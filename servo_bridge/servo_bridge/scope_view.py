@@ -93,8 +93,11 @@ class ScopeView:
         self._stream = rr.RecordingStream("servo-tool scope", batcher_config=rr.ChunkBatcherConfig(flush_tick=0.2))
         self._stream.set_log_tick_enabled(False)
         self._stream.set_log_time_enabled(False)
-        layout = _blueprint(telemetry, bursts)
-        self._stream.set_sinks(*sinks, default_blueprint=layout)
+        self._target = save or "the viewer"
+        try:
+            self._stream.set_sinks(*sinks, default_blueprint=_blueprint(telemetry, bursts))
+        except RuntimeError as trouble:
+            raise self._lost(trouble) from None
         self._writer = ThreadPoolExecutor(1, "rerun")
         self._waiting: deque[Future[None]] = deque()
         self._submit(self._titles)
@@ -107,14 +110,14 @@ class ScopeView:
     ) -> None:
         self._writer.shutdown(wait=error is None, cancel_futures=error is not None)
         try:
+            for work in self._waiting if error is None else ():
+                work.result()
             self._stream.flush(timeout_sec=_FLUSH)
         except (RuntimeError, ValueError) as trouble:
             if error is None:
-                raise ViewLostError(f"the last data were not received: {str(trouble).splitlines()[0]}") from None
+                raise self._lost(trouble) from None
         finally:
             self._stream.disconnect()
-        for work in self._waiting if error is None else ():
-            work.result()
 
     def telemetry(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
         """Append rows: times [s] of shape (n,) and values of shape (n, curves)."""
@@ -131,6 +134,9 @@ class ScopeView:
             self._stream.log("log/scope", self._rr.TextLog(text, level="INFO"))
 
         self._submit(send)
+
+    def _lost(self, trouble: Exception) -> ViewLostError:
+        return ViewLostError(f"{self._target} has not received all data: {str(trouble).splitlines()[0]}")
 
     # ---- writer thread
     def _titles(self) -> None:
@@ -150,6 +156,8 @@ class ScopeView:
                 self._waiting.popleft().result(_STALLED)
             except FutureTimeoutError:
                 raise ViewLostError(f"the viewer has not received data for {_STALLED:g} s") from None
+            except RuntimeError as trouble:
+                raise self._lost(trouble) from None
 
 
 def _check_file(path: Path) -> None:

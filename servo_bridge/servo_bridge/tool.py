@@ -16,6 +16,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.figure import PictureError
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import program
 
 from servo_bridge import (
@@ -214,7 +215,7 @@ def _run(args: argparse.Namespace) -> int:
     except argparse.ArgumentTypeError:
         raise UsageError(f"SERVO_BAUD is {os.environ['SERVO_BAUD']!r}, not a line speed") from None
     if args.command == _PROJECT:  # the only command without a board
-        args.file.write_text(desktop_project(Catalogue.load(), baud), encoding="utf-8")
+        write_file(args.file, desktop_project(Catalogue.load(), baud))
         return 0
     run: tool_commands.CommandFunction = args.run
     connected = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import json
 import math
 import sys
@@ -15,6 +16,7 @@ from servo_measurement.bode import Bode, measure
 from servo_measurement.bode_plan import LOOPS, BodeRequest
 from servo_measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import complain, deferred
 
 from servo_bridge.bode_recording import write_recording
@@ -88,15 +90,14 @@ def bode(context: Context) -> int:
 
 def _write(result: Bode, folder: Path | None, recording: Path | None) -> None:
     if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
         stem = f"bode_{axis_name(result.settings.axis)}_{result.settings.loop.name}"
-        with (folder / f"{stem}.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            writer.writerows([[f"{value:.8g}" for value in row] for row in rows(result).tolist()])
+        table = io.StringIO()
+        writer = csv.writer(table)
+        writer.writerow(COLUMNS)
+        writer.writerows([[f"{value:.8g}" for value in row] for row in rows(result).tolist()])
+        write_file(folder / f"{stem}.csv", table.getvalue())
         draw(result, folder / f"{stem}.png")
     if recording is not None:
-        recording.parent.mkdir(parents=True, exist_ok=True)
         write_recording(result, recording)
 
 

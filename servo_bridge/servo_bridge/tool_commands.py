@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, numbers
+from servo_msgs_py.output_file import named, write_file
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import PERIOD_NS
 from servo_msgs_py.value_text import name_text
@@ -195,7 +196,7 @@ def record(context: Context) -> int:
     if len(context.args.output) > 1:
         raise UsageError("without burst options only one output file is possible")
     (output,) = context.args.output
-    with Path(output).open("w", newline="", encoding="utf-8") as file:
+    with named(Path(output)), Path(output).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         heads = [head for (v, k), name in zip(selection, names, strict=True) for head in _heads(v, k, name)]
         writer.writerow(["time [s]", *(["tick"] if tick is not None else []), *heads])
@@ -239,7 +240,7 @@ def save(context: Context) -> int:
     parameters = {v.name: _named(v, context.session.read(v), context.catalogue) for v in chosen}
     known = context.catalogue.hash if context.session.mismatch is None else None
     text = parameter_file.dump(path, parameters, {v.name: v.unit for v in chosen}, known)
-    path.write_text(text, encoding="utf-8")
+    write_file(path, text)
     print(f"{len(parameters)} parameters in {path}")
     return 0
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_blocks
 from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.output_file import write_file
 from servo_tuning.board_file import text_of
 from servo_tuning.errors import ConfigError
 
@@ -58,7 +59,7 @@ def tune(context: Context) -> int:
 def _from_board(context: Context, memory: BlockSession) -> int:
     text = text_of(list(read_blocks(memory).values()), HEADING)
     if context.args.output:
-        Path(context.args.output).write_text(text, encoding="utf-8")
+        write_file(Path(context.args.output), text)
         print(f"wrote {context.args.output}")
     else:
         print(text, end="")

@@ -154,16 +154,28 @@ def test_a_recording_is_written_for_rerun(servo: FakeServo, run: Run, tmp_path: 
     assert file.read_bytes().startswith(b"RRF")
 
 
-@pytest.mark.parametrize("suffix", ["csv", "npz", "png", "svg", "rrd"])
-def test_full_disk_is_an_error_without_a_traceback(
-    servo: FakeServo, run: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str], suffix: str
+BURST = ["record", "axis1.i_q", "--points", "20", "-o"]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        *((BURST, f"burst.{suffix}") for suffix in ("csv", "npz", "png", "svg", "pdf", "rrd")),
+        (["record", "axis1.i_q", "--duration", "0.01", "-o"], "line.csv"),
+        (["save"], "parameters.toml"),
+        (["save"], "parameters.json"),
+        (["project"], "project.pmpx"),
+        (["scope", "axis1.i_q", "--fast", "--count", "1", "--save"], "scope.rrd"),
+    ],
+)
+def test_full_disk_is_one_line_with_the_name_of_the_file(
+    servo: FakeServo, run: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str], command: list[str], name: str
 ) -> None:
-    file = tmp_path / f"burst.{suffix}"
-    file.symlink_to("/dev/full")
-    assert run("record", "axis1.i_q", "--points", "20", "-o", str(file)) == 1
-    error = capfd.readouterr().err
+    (tmp_path / name).symlink_to("/dev/full")
+    assert run(*command, str(tmp_path / name)) == 1
+    (error,) = [line for line in capfd.readouterr().err.splitlines() if line.startswith("servo-tool: ")]
+    assert str(tmp_path / name) in error
     assert "No space left on device" in error
-    assert "Traceback" not in error
 
 
 @pytest.mark.parametrize(

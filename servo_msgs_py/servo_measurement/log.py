@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.trace import Trace
 
 from servo_measurement.access import BoardAccess, Capture, MeasurementError
@@ -83,9 +84,7 @@ class MeasurementLog:
             "recordings": heads,
             "notes": self.notes,
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            np.savez_compressed(file, log=np.array(json.dumps(text)), **arrays)
+        write_file(path, lambda file: np.savez_compressed(file, log=np.array(json.dumps(text)), **arrays))
 
     @classmethod
     def load(cls, path: Path) -> MeasurementLog:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from servo_msgs_py.output_file import write_file
+
 
 class PictureError(ValueError):
     """A picture cannot be drawn; the message has reason and remedy."""
@@ -35,8 +37,7 @@ def write_figure(figure: Any, path: Path) -> None:
     OSError
         If the file cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        figure.savefig(path)
+        write_file(path, lambda file: figure.savefig(file, format=path.suffix.lower().removeprefix(".") or "png"))
     except ValueError as error:
         raise PictureError(f"{path}: {error}") from None

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rclpy.node import Node
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.node_shell import run
 from servo_msgs_py.runtime.parameters import ParameterError, spec
 
@@ -61,7 +62,7 @@ class Calibration(ServoTwin):
             self.failure = str(error)
             return
         path = Path(self._values["out"]).expanduser()
-        path.write_text(calibrated.text(), encoding="utf-8")
+        write_file(path, calibrated.text())
         Node.get_logger(self).info(
             f"{path}: detection threshold of the log likelihood ratio {calibrated.detect:.1f}, one false alarm in "
             f"{calibrated.false_alarm_hours:g} h of motion"

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Protocol
 
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.program import complain, deferred, program
 
@@ -122,9 +123,7 @@ class FlashFile:
         """Replace the file atomically if the flash of the board has changed."""
         image = board.flash_image()
         if image != self._kept:
-            temporary = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-            temporary.write_bytes(image)
-            temporary.replace(self._path)
+            write_file(self._path, image)
             self._kept = image
 
 

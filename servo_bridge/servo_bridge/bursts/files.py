@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.trace import Trace
 
 from servo_bridge.bursts.rerun_log import entity_of, recording_file, send_curve
@@ -23,18 +25,19 @@ def _time_head(burst: Trace) -> str:
 
 def write_csv(burst: Trace, path: Path) -> None:
     """Write a CSV file with one row per point."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([_time_head(burst), *map(burst.head, burst.columns)])
-        columns = (column.tolist() for column in burst.columns.values())
-        for time, *values in zip(burst.time.tolist(), *columns, strict=True):
-            writer.writerow([f"{time:.9g}", *values])
+    table = io.StringIO()
+    writer = csv.writer(table)
+    writer.writerow([_time_head(burst), *map(burst.head, burst.columns)])
+    columns = (column.tolist() for column in burst.columns.values())
+    for time, *values in zip(burst.time.tolist(), *columns, strict=True):
+        writer.writerow([f"{time:.9g}", *values])
+    write_file(path, table.getvalue())
 
 
 def write_arrays(burst: Trace, path: Path) -> None:
     """Write ``time`` and one array per channel, under its name; ``units`` in the order of the channels."""
-    units = np.array([burst.units[name] for name in burst.columns])
-    np.savez(path, allow_pickle=False, time=burst.time, units=units, **burst.columns)
+    arrays = {"time": burst.time, "units": np.array([burst.units[name] for name in burst.columns]), **burst.columns}
+    write_file(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
 
 
 def write_picture(burst: Trace, path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.output_file import write_file
 
 from servo_bridge.tool_values import UsageError
 
@@ -69,7 +70,7 @@ def recording_file(application: str, path: Path) -> Iterator[Any]:
     stream = rr.RecordingStream(application, send_properties=False)
     data = stream.binary_stream()
     yield stream
-    path.write_bytes(data.read() or b"")
+    write_file(path, data.read() or b"")
 
 
 def entity_of(parts: Sequence[str]) -> str:

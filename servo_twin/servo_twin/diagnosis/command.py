@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from servo_msgs_py.output_file import write_file
 
 from servo_msgs_py import argument
 from servo_twin.diagnosis.monitor import PLANT_VALUES
@@ -115,7 +116,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     for other in others:
         first.merge(other)
     calibrated = first.thresholds()
-    args.out.write_text(calibrated.text(), encoding="utf-8")
+    write_file(args.out, calibrated.text())
     print(
         f"{args.out}: detection threshold of the log likelihood ratio {calibrated.detect:.1f}, "
         f"one false alarm in {calibrated.false_alarm_hours:g} h of motion, extrapolated from "

@@ -16,6 +16,7 @@ from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_values import Limits
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.output_file import write_file
 from servo_tuning.reading import SERVO_TOML
 
 from servo_msgs_py import argument
@@ -195,6 +196,6 @@ def _trials(args: argparse.Namespace, plant: PlantConfig, base: Mapping[str, Any
         found = sorted([*found, one], key=lambda pair: pair[0])
         content = [{"motor": args.seed + number, **dataclasses.asdict(trial)} for number, trial in found]
         text = json.dumps(content, indent=2, default=float) + "\n"
-        (args.out / "trials.json").write_text(text, encoding="utf-8")  # after every trial
+        write_file(args.out / "trials.json", text)  # after every trial
     print(text if args.json else "\n".join(summary(found)))
     return 1 if any(trial.false_success for _, trial in found) else 0

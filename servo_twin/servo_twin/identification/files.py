@@ -13,6 +13,7 @@ from servo_measurement.least_squares import mean_of
 from servo_measurement.motor_values import COVERAGE, UNITS
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.output_file import write_file
 
 from servo_twin.identification.refine import plant_of
 from servo_twin.identification.session import Identified, rows_of
@@ -51,12 +52,12 @@ def write_plant(path: Path, result: Identified, plant: PlantConfig) -> None:
     if load is not None and not load.interval[0] <= 0.0 <= load.interval[1]:
         entries["load_torque"] = float(f"{load.value:.6g}")
     head = "# Identified by servo-sim identify. dead_time and r_on are given; r_s and v_drop are the remainders.\n"
-    path.write_text(head + as_toml({axis_name(result.log.axis): entries}), encoding="utf-8")
+    write_file(path, head + as_toml({axis_name(result.log.axis): entries}))
 
 
 def write_servo(path: Path, table: Mapping[str, Any]) -> None:
     """Write a ``servo.toml`` for ``servo-tool tune`` and ``make tune``."""
-    path.write_text("# Written by servo-sim identify.\n" + as_toml(table), encoding="utf-8")
+    write_file(path, "# Written by servo-sim identify.\n" + as_toml(table))
 
 
 def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> None:
@@ -76,7 +77,7 @@ def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> Non
         "difference": None if refinement is None else {"before": refinement.before, "after": refinement.after},
         "margins": list(lines),
     }
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_file(path, json.dumps(content, indent=2) + "\n")
 
 
 def draw(path: Path, result: Identified) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.figure import PictureError, new_figure
+from servo_msgs_py.figure import PictureError, new_figure, write_figure
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.view import scene
@@ -81,9 +81,7 @@ def draw(rrd: Path, png: Path) -> None:
     OSError
         If the picture cannot be written.
     """
-    result = figure(rrd)
-    png.parent.mkdir(parents=True, exist_ok=True)
-    result.savefig(png, format="png")
+    write_figure(figure(rrd), png)
 
 
 def figure(rrd: Path) -> Figure:

@@ -76,6 +76,7 @@ class Recording:
         self._stream.set_log_tick_enabled(False)
         self._stream.set_log_time_enabled(False)
         self.uri = ""
+        self._path = path or "the recording"
         sinks: list[Any] = []
         if path is not None:
             _check_writable(path)
@@ -210,7 +211,7 @@ class Recording:
         try:
             self._stream.flush(timeout_sec=_FLUSH_TIMEOUT)
         except (RuntimeError, ValueError) as error:
-            raise RecordingError(f"the recording is not complete: {str(error).splitlines()[0]}") from None
+            raise RecordingError(f"{self._path} is not complete: {str(error).splitlines()[0]}") from None
         finally:
             self._stream.disconnect()
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.argument import ParagraphFormatter
+from servo_msgs_py.output_file import write_file
 
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
@@ -129,8 +130,7 @@ def run_experiments(
         if not quiet:
             print(table(outcome), flush=True)
         if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / f"{name}.txt").write_text(table(outcome), encoding="utf-8")
+            write_file(folder / f"{name}.txt", table(outcome))
             draw(outcome, folder / f"{name}.png")
             update_summary(folder, [outcome])
     return outcomes

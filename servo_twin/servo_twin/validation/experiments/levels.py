@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.table_text import aligned
 
 from servo_twin.level import Level
@@ -157,8 +158,7 @@ def relative_difference(entry: Mapping[str, Any]) -> float:
 
 def write(folder: Path, entries: Sequence[Mapping[str, Any]]) -> Path:
     """Write ``levels.json``, and the `overview` as ``levels.md``; returns the path of the first."""
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / FILE
-    path.write_text(json.dumps(entries, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
-    path.with_suffix(".md").write_text(overview(entries), encoding="utf-8")
+    write_file(path, json.dumps(entries, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+    write_file(path.with_suffix(".md"), overview(entries))
     return path

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.table_text import aligned
 
 from servo_twin.validation.experiments.outcome import Outcome, Panel
@@ -65,7 +66,7 @@ def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
     except (OSError, ValueError, KeyError, TypeError):
         kept = []  # missing or another format
     text = json.dumps(kept + summary(outcomes), indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_file(path, text + "\n")
     return path
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import io
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.output_file import named, write_file
 
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.sweep.space import Varied
@@ -38,10 +40,11 @@ def _names(varied: Sequence[str], figures: Sequence[str]) -> list[str]:
 
 def write_csv(path: Path, trials: Iterable[Trial], varied: Sequence[str], figures: Sequence[str]) -> None:
     """Write a row per trial: number, varied values, figures, ``inside`` (all within their bounds), ``problem``."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, _names(varied, figures))
-        table.writeheader()
-        table.writerows(_row(trial, figures) for trial in trials)
+    text = io.StringIO()
+    table = csv.DictWriter(text, _names(varied, figures))
+    table.writeheader()
+    table.writerows(_row(trial, figures) for trial in trials)
+    write_file(path, text.getvalue())
 
 
 def write_parquet(path: Path, trials: Iterable[Trial], varied: Sequence[str], figures: Sequence[str]) -> None:
@@ -60,7 +63,7 @@ def write_parquet(path: Path, trials: Iterable[Trial], varied: Sequence[str], fi
     types = {"trial": pyarrow.int64(), "inside": pyarrow.bool_(), "problem": pyarrow.string()}
     names = _names(varied, figures)
     schema = pyarrow.schema([(name, types.get(name, pyarrow.float64())) for name in names])
-    with parquet.ParquetWriter(path, schema) as writer:
+    with named(path), parquet.ParquetWriter(path, schema) as writer:
         for batch in _batches(trials):
             rows = [_row(trial, figures) for trial in batch]
             writer.write_table(pyarrow.Table.from_pylist(rows, schema))

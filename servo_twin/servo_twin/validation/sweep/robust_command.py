@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.output_file import write_file
 from servo_tuning.reading import SERVO_TOML
 from tqdm import tqdm
 
@@ -113,7 +114,7 @@ def _run(args: argparse.Namespace) -> int:
         return 1
     args.out.mkdir(parents=True, exist_ok=True)
     servo = base.variant(best[0].candidate).servo or base.servo
-    (args.out / "servo.toml").write_text(as_toml(servo), encoding="utf-8")
+    write_file(args.out / "servo.toml", as_toml(servo))
     _draw(args.out / "tune-robust.png", found, best, present, objective)
     print(f"{objective.direction} {objective.figure}")
     print("\n".join(_table(best, present)))

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import IO, Any, Final
 
 import numpy as np
+from servo_msgs_py.output_file import named
 
 from servo_twin.validation.sweep.trial import Trial
 
@@ -54,8 +55,7 @@ class Store:
         self._file: IO[bytes] = self.path.open("w+b" if new else "r+b")
         text = json.dumps(head, sort_keys=True)
         if new:
-            self._file.write(text.encode() + b"\n")
-            self._file.flush()
+            self._append(text)
         else:
             self._read(text)
 
@@ -93,9 +93,13 @@ class Store:
     def add(self, trial: Trial) -> None:
         """Write a result to the file."""
         offset = self._file.seek(0, 2)
-        self._file.write(json.dumps(trial.as_dict()).encode() + b"\n")
-        self._file.flush()
+        self._append(json.dumps(trial.as_dict()))
         self._offsets[trial.number] = offset  # last, because Ctrl-C may interrupt the lines above
+
+    def _append(self, line: str) -> None:
+        with named(self.path):
+            self._file.write(line.encode() + b"\n")
+            self._file.flush()
 
     def __iter__(self) -> Iterator[Trial]:
         """Results in the order of their numbers."""

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.text_file import parse_toml, read_text, read_toml
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
@@ -164,7 +165,7 @@ def _run(args: argparse.Namespace) -> int:
         return 0
     rows, cycles = compare(_widths(args.measured), counts)
     print(_table(rows, cycles))
-    args.core.write_text(with_cycles(text, cycles), encoding="utf-8")
+    write_file(args.core, with_cycles(text, cycles))
     print(f"cycles_per_instruction = {cycles:.2f} in {args.core}")
     if any(abs(row.cycles / cycles - 1.0) > SPREAD for row in rows):
         print(f"poor fit: the deviation of a width is above {SPREAD:.0%}")
