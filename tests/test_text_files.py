@@ -7,12 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from servo_bridge.description import description_from_file
 from servo_bridge.trajectory.files import read_waypoints
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.text_file import TextFileError, decoded, parse_json, parse_toml
+from servo_msgs_py.text_file import TextFileError, decoded, parse_json, parse_toml, read_toml, toml_text
 from servo_tuning.reading import SERVO_TOML, load
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.diagnosis.thresholds import Thresholds
@@ -105,3 +105,28 @@ def test_any_bytes_are_text_or_refused(data: bytes) -> None:
 def test_deep_nesting_is_refused(parse: Callable[[str], object]) -> None:
     with pytest.raises(TextFileError, match="too many nested brackets"):
         parse(f"{'a = ' if parse is parse_toml else ''}{'[' * 100_000}")
+
+
+TEXT = st.text(st.characters(exclude_categories=["Cs"]))
+NUMBER_OR_TEXT = st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | TEXT
+SCALAR = st.booleans() | NUMBER_OR_TEXT
+TABLES = st.recursive(
+    st.dictionaries(TEXT, SCALAR | st.lists(SCALAR | st.lists(SCALAR))), lambda inner: st.dictionaries(TEXT, inner)
+)
+
+
+@given(TABLES)
+@example({'"': "\"\\'\n\r\t\0\x7f\u0085😀", "a.b": {"": {"ü": ["'''", '"""']}}})
+def test_written_toml_is_read_as_the_same_table(table: dict[str, object]) -> None:
+    assert parse_toml(toml_text(table)) == table
+
+
+def test_written_configuration_is_read_as_the_same() -> None:
+    table = read_toml(SERVO_TOML)
+    assert parse_toml(toml_text(table)) == table
+
+
+@given(st.dictionaries(TEXT, st.lists(NUMBER_OR_TEXT, min_size=1), min_size=1))
+def test_written_parameters_are_read_as_the_same(values: dict[str, list[parameter_file.Entry]]) -> None:
+    table = parse_toml(parameter_file.dump(Path("p.toml"), values, {}, 7))
+    assert table["parameters"] == {name: value if len(value) > 1 else value[0] for name, value in values.items()}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.text_file import TextFileError, parse_json, parse_toml, read_text
+from servo_msgs_py.text_file import TextFileError, parse_json, parse_toml, read_text, toml_key, toml_value
 
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.tool_values import parse_values
@@ -54,7 +54,7 @@ def dump(path: Path, parameters: Parameters, units: Mapping[str, str], catalogue
     lines.append(f"[{_TABLE}]")
     for name, value in plain.items():
         unit = f"  # {units[name]}" if units.get(name) else ""
-        lines.append(f"{json.dumps(name)} = {json.dumps(value)}{unit}")
+        lines.append(f"{toml_key(name)} = {toml_value(value)}{unit}")
     return "\n".join(lines) + "\n"
 
 

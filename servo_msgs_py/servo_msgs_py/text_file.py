@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +18,7 @@ BYTES_MAX: Final = 1_000_000
 """Largest file without another bound [bytes]."""
 
 _MARK = "\ufeff"
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class TextFileError(ValueError):
@@ -74,6 +77,32 @@ def parse_toml(text: str) -> dict[str, Any]:
     except RecursionError:
         raise TextFileError("too many nested brackets; correct the TOML") from None
     return table
+
+
+def toml_text(table: Mapping[str, Any], name: str = "") -> str:
+    """Text of nested tables, which `parse_toml` reads; their values as in `toml_value`."""
+    groups = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    head = f"[{name}]\n" if name else ""
+    entries = [f"{toml_key(key)} = {toml_value(value)}\n" for key, value in table.items() if key not in groups]
+    prefix = f"{name}." if name else ""
+    return head + "".join(entries) + "".join(toml_text(group, prefix + toml_key(key)) for key, group in groups.items())
+
+
+def toml_key(key: str) -> str:
+    """Key of an entry, quoted if necessary."""
+    return key if _BARE_KEY.fullmatch(key) else toml_value(key)
+
+
+def toml_value(value: object) -> str:
+    """TOML of a number, boolean, string, or list of these."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        # As in JSON, but TOML has no surrogate pairs, and no DEL in a string.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return repr(value)
 
 
 def parse_json(text: str) -> Any:

@@ -76,22 +76,3 @@ def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
         return read_toml(path)
     except TextFileError as error:
         raise SimulationError(f"{path}: {error}") from None
-
-
-def as_toml(table: Mapping[str, Any], name: str = "") -> str:
-    """Nested tables as TOML; values: numbers, booleans, strings and lists of these."""
-    groups = {key: value for key, value in table.items() if isinstance(value, Mapping)}
-    entries = [f"{key} = {_value(value)}\n" for key, value in table.items() if key not in groups]
-    head = f"[{name}]\n" if name else ""
-    prefix = f"{name}." if name else ""
-    return head + "".join(entries) + "".join(as_toml(group, prefix + key) for key, group in groups.items())
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    return repr(value)

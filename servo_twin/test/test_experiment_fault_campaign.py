@@ -6,11 +6,8 @@ import dataclasses
 import random
 
 import pytest
-from servo_msgs_py.text_file import parse_toml, read_toml
-from servo_tuning.reading import SERVO_TOML
 from servo_twin.fault_injection import OpenPhase
 from servo_twin.plant import PlantConfig
-from servo_twin.servo_config import as_toml
 from servo_twin.validation.experiments.campaign_faults import (
     INJECTED_FAULTS,
     NO_FAULT,
@@ -183,8 +180,3 @@ def test_trial_is_determined_by_its_number() -> None:
     one, again, another = (draw(PLANT, 1, number) for number in (7, 7, 8))
     assert (one.motor, one.plant, one.fault.text) == (again.motor, again.plant, again.fault.text)
     assert one.plant != another.plant
-
-
-def test_configuration_is_restored_from_its_text() -> None:
-    table = read_toml(SERVO_TOML)
-    assert parse_toml(as_toml(table)) == table

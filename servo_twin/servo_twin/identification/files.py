@@ -14,11 +14,11 @@ from servo_measurement.motor_values import COVERAGE, UNITS
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.text_file import toml_text
 
 from servo_twin.identification.refine import plant_of
 from servo_twin.identification.session import Identified, rows_of
 from servo_twin.plant import PlantConfig
-from servo_twin.servo_config import as_toml
 
 _PLANT: Final = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "friction", "viscous", "r_on", "v_drop")
 """Values of an axis in the plant file."""
@@ -52,12 +52,12 @@ def write_plant(path: Path, result: Identified, plant: PlantConfig) -> None:
     if load is not None and not load.interval[0] <= 0.0 <= load.interval[1]:
         entries["load_torque"] = float(f"{load.value:.6g}")
     head = "# Identified by servo-sim identify. dead_time and r_on are given; r_s and v_drop are the remainders.\n"
-    write_file(path, head + as_toml({axis_name(result.log.axis): entries}))
+    write_file(path, head + toml_text({axis_name(result.log.axis): entries}))
 
 
 def write_servo(path: Path, table: Mapping[str, Any]) -> None:
     """Write a ``servo.toml`` for ``servo-tool tune`` and ``make tune``."""
-    write_file(path, "# Written by servo-sim identify.\n" + as_toml(table))
+    write_file(path, "# Written by servo-sim identify.\n" + toml_text(table))
 
 
 def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Final
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.text_file import toml_text
 from servo_tuning.reading import SERVO_TOML
 from tqdm import tqdm
 
@@ -17,7 +18,7 @@ from servo_msgs_py import argument
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
-from servo_twin.servo_config import as_toml, servo_table
+from servo_twin.servo_config import servo_table
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.sweep.robust import Candidates, Objective, Score, front, search
 from servo_twin.validation.sweep.space import SYNTAX, Space, SpaceError, Varied
@@ -114,7 +115,7 @@ def _run(args: argparse.Namespace) -> int:
         return 1
     args.out.mkdir(parents=True, exist_ok=True)
     servo = base.variant(best[0].candidate).servo or base.servo
-    write_file(args.out / "servo.toml", as_toml(servo))
+    write_file(args.out / "servo.toml", toml_text(servo))
     _draw(args.out / "tune-robust.png", found, best, present, objective)
     print(f"{objective.direction} {objective.figure}")
     print("\n".join(_table(best, present)))
