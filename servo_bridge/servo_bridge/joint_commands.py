@@ -142,6 +142,7 @@ class JointCommands:
         limits = context.limits()
         if limits is None:
             raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in 1 s")
+        self._streamer.require_carried(_SOURCE, streamed)
         for axis, point in streamed.items():
             require_within(_SOURCE, context.joints[axis], point, limits[axis], places[axis].position)
 

@@ -169,7 +169,11 @@ class Supervisor:
         )
         self._action = self._offer_action()
         self._streamer = Streamer(
-            settings.joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
+            settings.joints,
+            self._follower,
+            stream_lead(settings.baud),
+            settings.stream_delay_max or None,
+            lambda: point_line(settings.baud, self._link.layout.size, 0.0),  # a delay of the computer passes
         )
         self._joint_commands = JointCommands(
             self._commands,

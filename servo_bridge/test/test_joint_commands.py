@@ -132,6 +132,19 @@ def test_positions_with_velocities_become_timed_points(ready: Rig) -> None:
     assert float(values["delay [ms]"]) > 20.0
 
 
+@pytest.mark.parametrize(("baud", "joints", "carried"), [(19200, 1, 0), (38400, 1, 1), (57600, 2, 1), (115200, 2, 2)])
+def test_a_stream_that_the_line_does_not_carry_is_refused(baud: int, joints: int, carried: int) -> None:
+    with Rig(baud=baud) as rig:
+        rig.enable_axes()
+        rig.until(lambda: rig.messages[topics.PARAMETERS])
+        for number in range(1, joints + 1):
+            rig.joint_commands.publish(JointState(name=[f"axis{number}"], position=[0.01], velocity=[0.05]))
+            rig.wait_for_pending()
+        refusals = [text for text in rig.rejections() if "points/s" in text]
+        assert len(refusals) == (carried < joints)
+        assert all(f"needs {100 * joints} points/s" in text and f"at {baud} baud" in text for text in refusals)
+
+
 def test_joint_with_nan_is_ignored(ready: Rig) -> None:
     stream(ready, joints=(True, False))
     assert {point.axis for point in points(ready)} == {0}

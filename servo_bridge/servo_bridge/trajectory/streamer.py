@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Final
 
@@ -18,10 +18,11 @@ from servo_bridge.set_points import JointSetPoint
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import POINTS_REFUSED, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, PathEvents, Plan
+from servo_bridge.trajectory.line_capacity import PointLine
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.playout import PlayoutFigures
 from servo_bridge.trajectory.shapes import stop
-from servo_bridge.trajectory.stream import Stream
+from servo_bridge.trajectory.stream import STEP_PERIODS, Stream
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.tracker import Tracker
 
@@ -102,10 +103,17 @@ class Streamer:
         Lead at the begin of a stream, see `stream_lead` [s].
     delay_max : float, optional
         Bound of the delay that bridges jitter and loss [s]; default: see `PlayoutClock`.
+    line : callable, optional
+        The line to the board; None: without limit.
     """
 
     def __init__(
-        self, joints: Sequence[Joint], follower: Follower, lead: float, delay_max: float | None = None
+        self,
+        joints: Sequence[Joint],
+        follower: Follower,
+        lead: float,
+        delay_max: float | None = None,
+        line: Callable[[], PointLine | None] = lambda: None,
     ) -> None:
         self._joints = joint_names(joints)
         self._gear_ratios = [joint.gear_ratio for joint in joints]
@@ -117,6 +125,7 @@ class Streamer:
         self._margin = _MARGIN  # smallest margin in memory [s]
         self._arrived = math.inf  # time of the last margin [s]
         self._delay_max = delay_max
+        self._line = line
         self._advanced = -math.inf
         self._streams: dict[int, _Joint] = {}
         self._last: StreamReport | None = None
@@ -148,6 +157,26 @@ class Streamer:
         if new:
             self._lead = max(self._lead, self._lead_begin)
             self._request_axes(new)
+
+    def require_carried(self, source: str, axes: Collection[int]) -> None:
+        """Check that the line carries the points of new streams of some axes beside the present ones.
+
+        Raises
+        ------
+        TrajectoryError
+            If it does not.
+        """
+        self._remove_replaced()
+        line, streams = self._line(), self._streams.keys() | set(axes)
+        rate = len(streams) / (STEP_PERIODS * PERIOD)
+        if line is not None and len(streams) > len(self._streams) and rate > line.rate:
+            joints = ", ".join(self._joints[axis] for axis in sorted(streams))
+            raise TrajectoryError(
+                f"{source}: the stream of {joints} needs {rate:.0f} points/s of the board, and the line carries "
+                f"{line.rate:.0f} at {line.text} beside the telemetry; use a higher line speed, less telemetry, or "
+                "send positions without velocities and efforts",
+                kind="the line",
+            )
 
     def streams(self, axis: int) -> bool:
         """Whether an axis follows a stream, or will begin to."""
