@@ -38,6 +38,14 @@ _ATTEMPTS: Final = 3
 _SESSION_MAX: Final = 8.0
 """Timeout for the end of a session [s]: the longest stop of the board, the rotor at rest, and the configuration."""
 _SESSION: Final = "measurement.axis"
+_ENDED: Final = {
+    "NONE": "it was reset; check its supply and measure again",
+    "CLOSED": "another program has ended it; stop that program and measure again",
+    "SILENT": "no keep-alive arrived in time; measure again with less load on the computer",
+    "STOPPED": "a quick stop was requested; measure again",
+    "REPLACED": "another program has begun a session; stop that program and measure again",
+}
+"""Reasons by `measurement_end_t`."""
 _OTHER_MOTION: Final = ("EXPIRED", "STARVED", "POSITION", "NOT_HOMED", "INPUT")
 
 Step = tuple[str, Callable[[], None]]
@@ -72,9 +80,12 @@ class AxisUnderTest:
 
     def label(self, variable: str) -> str:
         """Name of an enumeration value."""
-        enum = self.access.catalogue[f"{self.name}.{variable}"].enum
+        return self._named(f"{self.name}.{variable}")
+
+    def _named(self, variable: str) -> str:
+        enum = self.access.catalogue[variable].enum
         assert enum is not None
-        return self.access.catalogue.label(enum, int(self.value(variable)))
+        return self.access.catalogue.label(enum, self.access.read_words(variable)[0])
 
     def masks(self, kind: str) -> dict[str, int]:
         """Bit masks of flags by name."""
@@ -115,6 +126,7 @@ class AxisUnderTest:
 
     def command_timeout(self, seconds: float) -> None:
         """Change the timeout of set-points on the board [s]."""
+        self._check_session("param.command_timeout")
         self.access.write("param.command_timeout", [seconds])
         self._find_interval()
 
@@ -243,10 +255,7 @@ class AxisUnderTest:
             If the board refuses a session.
         """
         if not self.reached(self._begun, _SESSION_MAX, refuse_on_fault=False):
-            raise MeasurementError(
-                f"the board refuses a measurement for {_SESSION_MAX:g} s: it stores values, or still restores those "
-                "before the previous measurement because the shaft moves; bring the shaft to rest and try again"
-            )
+            raise MeasurementError(f"the board refuses a measurement for {_SESSION_MAX:g} s: {self._refusal()}")
         with self.restored([*steps, ("configuration and parameters", self._end_session)], remedy):
             yield
 
@@ -254,10 +263,23 @@ class AxisUnderTest:
         """Begin a session; a refusal ends the session of a program that was killed."""
         return self.access.write_words(_SESSION, [self.axis + 1])
 
+    def _refusal(self) -> str:
+        """Why the board refuses a session, with a remedy."""
+        if self._named("measurement.state") == "RESTORING":
+            return (
+                "it restores the values before another one, and a shaft moves: bring the shafts to rest and try again"
+            )
+        if self._named("storage.state") != "IDLE":
+            return "it stores values in its data flash: wait until it has done so, and try again"
+        return (
+            "points of a trajectory or another configuration wait to take effect, or another program measures: stop "
+            "the other program, disable the axes and try again"
+        )
+
     def _end_session(self) -> None:
         self.access.write_words(_SESSION, [0])
         self.until(
-            lambda: self._session_state() == "NONE",
+            lambda: self._named("measurement.state") == "NONE",
             _SESSION_MAX,
             "keeps another configuration",
             ": an external torque moves the shaft; the board restores it at rest, and is not enabled before",
@@ -266,20 +288,14 @@ class AxisUnderTest:
 
     def refuse_ended_session(self) -> None:
         """Raise an error if the board has ended the session and restored its values: further changes would remain."""
-        if self._session_state() != "OPEN":
-            raise MeasurementError(
-                "the board has ended the session and restores its values, because no keep-alive arrived in time or "
-                "another program has stopped it: measure again, with less load on the computer and no other program"
-            )
+        if self._named("measurement.state") != "OPEN":
+            reason = _ENDED[self._named("measurement.ended")]
+            raise MeasurementError(f"the board has ended the session and restores its values: {reason}")
 
     def _check_session(self, variable: str) -> None:
         """Parameters are written in a session only."""
         if variable.startswith("param."):
             self.refuse_ended_session()
-
-    def _session_state(self) -> str:
-        (raw,) = self.access.read_words("measurement.state")
-        return self.access.catalogue.label("measurement_state_t", raw)
 
     @contextmanager
     def restored(self, steps: Sequence[Step], remedy: str = "") -> Iterator[None]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_measurement import axis_under_test
 from servo_measurement.access import Capture, MeasurementError
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import MeasurementLog
@@ -344,6 +345,27 @@ def test_host_pause_ends_the_motion(mode: str) -> None:
         assert _state(board) == before
 
 
+def test_a_session_that_the_board_refuses_or_has_ended_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(axis_under_test, "_SESSION_MAX", 0.02)
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        board.run(0.05)
+        access = VirtualBoardAccess(board)
+        first, second = (AxisUnderTest(access, axis) for axis in (0, 1))
+        assert access.write_words("measurement.axis", [1])
+        assert access.write_words("measurement.axis", [0])
+        board.run(0.05)
+        with pytest.raises(MeasurementError, match="another program has ended it"):
+            first.command_timeout(1.0)
+        assert access.write_words("measurement.axis", [1])
+        first.mode("SPEED")
+        first.enable("SPIN", 2.0)
+        first.command("cmd.speed", 100.0)
+        first.wait(0.5)
+        assert access.write_words("measurement.axis", [0])
+        with pytest.raises(MeasurementError, match="a shaft moves: bring the shafts to rest"), second.session():
+            pass
+
+
 @pytest.mark.parametrize("step", ["torque pulses", "running at several speeds"])
 def test_nothing_is_changed_after_the_board_has_ended_the_session(step: str) -> None:
     """While the outputs are off no fault shows that the board has restored its values; later changes would remain."""
@@ -357,7 +379,7 @@ def test_nothing_is_changed_after_the_board_has_ended_the_session(step: str) -> 
                 assert not access.write_words("measurement.axis", [2])
                 board.run(0.1)
 
-        with pytest.raises(MeasurementError, match="has ended the session"):
+        with pytest.raises(MeasurementError, match="another program has begun a session"):
             MotorTest(access, 0, LIMITS, servo_table(), end_session).run()
         board.run(0.05)
         assert _state(board) == before
