@@ -16,6 +16,7 @@ from servo_measurement.access import (
 )
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import PERIOD_NS
 
 from servo_bridge.bursts.recording import BurstRecording, Phase
 from servo_bridge.bursts.request import Before, BurstRequest
@@ -26,6 +27,8 @@ from servo_bridge.wire.session import Session
 
 _FAST, _SLOW = 0, 1
 _LEAD: Final = 0.2  # longer than the detection of the end of a recording, and its stop [s]
+_FILLED: Final = 0.005  # from the answer to the start of a recorder to its first sample, at most [s]
+_TICKS_MAX: Final = 2**32 * PERIOD_NS * 1e-9  # range of the time of the board [s]
 _ATTEND: Final = 0.08  # period of calls of `meanwhile` during a recording [s]
 _PAUSE: Final = 0.02  # period of checks for a due keep-alive [s]
 
@@ -53,6 +56,10 @@ class SessionAccess(BoardAccess):
     def catalogue(self) -> Catalogue:
         """Variables of the board."""
         return self._session.catalogue
+
+    def _board_time(self) -> float:
+        """Time of the board, which may run slower than that of the computer [s]."""
+        return self.read_words("tick")[0] * PERIOD_NS * 1e-9
 
     def read_words(self, name: str) -> list[int]:
         variable = self._session.variables[name]
@@ -108,10 +115,10 @@ class SessionAccess(BoardAccess):
             recording.step(self._session)
             capture.meanwhile(False)
         # The trigger is effective after the memory was filled once; without a trigger the last samples are kept.
-        filling = 0.0 if capture.trigger is None else capture.seconds
-        ready = self.clock() + max(filling + _LEAD - capture.lead, 0.0)
-        while self.clock() < ready:
-            self.wait(_ATTEND)
+        filling = _LEAD if capture.trigger is None else capture.seconds + _FILLED - capture.lead
+        begin = self._board_time()
+        while (remaining := filling - (self._board_time() - begin) % _TICKS_MAX) > 0.0:
+            self.wait(min(remaining, _ATTEND))
             capture.meanwhile(False)
         capture.start()
         due, full, attended = self.clock() + TRIGGER_TIMEOUT + capture.seconds, False, self.clock()
