@@ -296,12 +296,16 @@ def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def ask(client: int, timeout_s: float = TIMEOUT_S) -> bytes:
-    """One complete answer (2Bh, status 40h, length, data, checksum), or its part received before the timeout."""
+    """One complete answer (2Bh, status 40h, length, data, checksum), or its part received before the timeout.
+
+    On the line 2Bh is doubled, except at the begin.
+    """
     os.write(client, GET_TABLE)
-    data, end = b"", time.monotonic() + timeout_s
+    line, data, end = b"", b"", time.monotonic() + timeout_s
     while time.monotonic() < end and (len(data) < 3 or len(data) < 4 + data[2]):
         if select.select([client], [], [], 0.1)[0]:
-            data += os.read(client, 64)
+            line += os.read(client, 64)
+            data = line[:1] + line[1:].replace(b"++", b"+")
     return data
 
 
