@@ -15,7 +15,7 @@ from servo_measurement.access import MeasurementError
 from servo_measurement.estimation import estimates_of
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_test import MotorTest
-from servo_measurement.motor_values import UNITS, Limits
+from servo_measurement.motor_values import Limits
 from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import AXES, axis_name
@@ -156,10 +156,7 @@ def _evaluated(args: argparse.Namespace, path: Path) -> int:
 def _shown(log: MeasurementLog, problem: str) -> int:
     """Print the closed-form estimates only."""
     found = estimates_of(log)
-    for name, unit in UNITS.items():
-        if name in found.values:
-            low, high = found.values[name].interval
-            print(f"{name:13} {found.values[name].value:12.5g}   {low:.4g} .. {high:.4g} {unit}".rstrip())
+    print("\n".join(found.lines()))
     reasons = [problem] if problem else [f"{name}: {reason}" for name, reason in found.undetermined.items()]
     for reason in reasons:
         print(f"servo-tool: {reason}", file=sys.stderr)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.table_text import aligned
 
 from servo_measurement.bode import Bode
 from servo_measurement.frequency_response import Measured, Response
@@ -81,16 +82,17 @@ def _lines(bode: Bode) -> Iterator[str]:
         f"{axis_name(settings.axis)}, {settings.loop.name} loop{motion}: {settings.repeats} sweeps of "
         f"{settings.amplitude:.3g} {settings.loop.unit}, {settings.f_min:.3g} .. {settings.f_max:.3g} Hz"
     )
+    cells = []
     for name, unit, measured, predicted in _comparison(bode):
         found = "not determined"
         if measured is not None:
             found = f"{measured.value:.4g}{_uncertainty(measured)} {unit}"
         expected = "none" if predicted is None else f"{predicted:.4g} {unit}"
-        difference = _difference(unit, measured, predicted)
-        yield f"  {name:13} {found.rstrip():26}  predicted {expected.rstrip():15}{difference}".rstrip()
+        cells.append([name, found.rstrip(), f"predicted {expected.rstrip()}", _difference(unit, measured, predicted)])
     for resonance in bode.figures.resonances:
         kind = "resonance" if resonance.height > 0.0 else "antiresonance"
-        yield f"  {kind:13} {resonance.frequency:.4g} Hz, {resonance.height:+.1f} dB"
+        cells.append([kind, f"{resonance.frequency:.4g} Hz, {resonance.height:+.1f} dB", "", ""])
+    yield from (f"  {line}" for line in aligned(cells))
     good = int(bode.response.good.sum())
     points = f"{good} of {bode.response.good.size} points have a sufficient coherence"
     yield f"  {points}; +-: 95 % confidence" if bode.confirmed else f"  {points}"
@@ -108,8 +110,8 @@ def _difference(unit: str, measured: Measured | None, predicted: float | None) -
     if measured is None or predicted is None:
         return ""
     if unit == "degrees":
-        return f"  {measured.value - predicted:+.2f} degrees"
-    return f"  {100.0 * (measured.value / predicted - 1.0):+.2f} %"
+        return f"{measured.value - predicted:+.2f} degrees"
+    return f"{100.0 * (measured.value / predicted - 1.0):+.2f} %"
 
 
 def as_dict(bode: Bode) -> dict[str, Any]:

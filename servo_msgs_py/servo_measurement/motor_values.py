@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from servo_msgs_py.table_text import aligned
+
 COVERAGE: Final = 1.96
 """Half the width of a 95 % interval, relative to the standard uncertainty."""
 
@@ -61,6 +63,19 @@ class MotorEstimates:
 
     def __getitem__(self, name: str) -> float:
         return self.values[name].value
+
+    def rows(self) -> list[tuple[str, Estimate, str]]:
+        """Name, estimate and unit, in the order of `UNITS`."""
+        return [(name, self.values[name], unit) for name, unit in UNITS.items() if name in self.values]
+
+    def lines(self) -> list[str]:
+        """Table of values and intervals."""
+        cells = [["", "value", "95 % interval", ""]]
+        for name, estimate, unit in self.rows():
+            low, high = estimate.interval
+            span = f"{low:.4g} .. {high:.4g}" if estimate.sigma else ""
+            cells.append([name, f"{estimate.value:.5g}", span, unit])
+        return aligned(cells, "<><")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.runtime.program import program
+from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -83,12 +84,10 @@ def _info(args: argparse.Namespace) -> int:
         return 0
     bus = plant.pop("bus")
     axes = plant.pop("axes")
-    print("\n".join(f"{key:14} {value}" for key, value in plant.items()))
-    print("bus\n" + "\n".join(f"  {key:14} {value}" for key, value in bus.items()))
-    width = max(len(str(axes[0][key])) for key in axes[0])
-    print(" " * 17 + "  ".join(f"{axis_name(k):{width}}" for k in range(AXES)))
-    for key in axes[0]:
-        print(f"  {key:14} " + "  ".join(f"{axis[key]!s:{width}}" for axis in axes))
+    common = plant | {f"bus.{key}": value for key, value in bus.items()}
+    print("\n".join(aligned([[key, str(value)] for key, value in common.items()])), end="\n\n")
+    heads = ["", *map(axis_name, range(AXES))]
+    print("\n".join(aligned([heads, *([key, *(str(axis[key]) for axis in axes)] for key in axes[0])])))
     return 0
 
 
@@ -110,14 +109,15 @@ def _move(args: argparse.Namespace) -> int:
 
 
 def _print_moves(results: Sequence[MoveResult]) -> None:
-    print("axis    target  reached  overshoot  steady state  settling   speed    i_q")
-    print("        counts   counts     counts        counts        ms   rad/s      A")
+    rows = [
+        ["axis", "target", "reached", "overshoot", "steady state", "settling", "speed", "i_q"],
+        ["", "counts", "counts", "counts", "counts", "ms", "rad/s", "A"],
+    ]
     for r in results:
+        counts = map(str, (r.target, r.reached, r.overshoot, r.steady_state))
         settling = "not settled" if r.settling_time is None else f"{1e3 * r.settling_time:.1f}"
-        print(
-            f"{r.axis} {r.target:8} {r.reached:8} {r.overshoot:10} {r.steady_state:13} {settling:>9}"
-            f" {r.speed_max:7.1f} {r.i_q_max:6.2f}"
-        )
+        rows.append([r.axis, *counts, settling, f"{r.speed_max:.1f}", f"{r.i_q_max:.2f}"])
+    print("\n".join(aligned(rows, "<>")))
 
 
 def _plot(board: Board, log: object, names: Sequence[str], path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
 from servo_twin.diagnosis.monitor import PLANT_VALUES
@@ -127,9 +128,7 @@ def _calibrate(args: argparse.Namespace) -> int:
 
 def summary(answers: Sequence[Answer]) -> str:
     """Confusion table with delays and coverage, and the false alarms."""
-    lines = [
-        f"{'changed':12}{'trials':>7}{'right':>7}{'delay [s]: median, 95 %, max':>32}{'interval right':>16}  other"
-    ]
+    rows = [["changed", "trials", "right", "delay [s]: median, 95 %, max", "interval right", "other"]]
     for name, said in confusion(answers).items():
         mine = [answer for answer in answers if answer.truth.rpartition(" ")[2] == name and not answer.problem]
         right = [answer for answer in mine if answer.said == answer.truth]
@@ -137,7 +136,8 @@ def summary(answers: Sequence[Answer]) -> str:
         times = "{:.2f} {:.2f} {:.2f}".format(*np.percentile(delays, (50, 95, 100))) if delays else ""
         held = f"{sum(answer.covered for answer in right)}/{len(right)}" if delays else ""
         other = ", ".join(f"{text or 'not run'} {count}" for text, count in said.items() if text != name)
-        lines.append(f"{name:12}{sum(said.values()):7}{len(right):7}{times:>32}{held:>16}  {other}")
+        rows.append([name, str(sum(said.values())), str(len(right)), times, held, other])
+    lines = aligned(rows, "<>>>><")
     hours = sum(answer.seconds for answer in answers) / 3600.0
     alarms = [f"trial {a.number}: {text}" for a in answers for text in a.false_alarms]
     lines.append(f"false alarms: {len(alarms)} in {hours:.2f} simulated hours without a change")

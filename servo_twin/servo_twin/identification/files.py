@@ -14,10 +14,11 @@ from servo_measurement.motor_values import COVERAGE, UNITS
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.table_text import aligned
 from servo_msgs_py.text_file import toml_text
 
 from servo_twin.identification.refine import plant_of
-from servo_twin.identification.session import Identified, rows_of
+from servo_twin.identification.session import Identified
 from servo_twin.plant import PlantConfig
 
 _PLANT: Final = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "friction", "viscous", "r_on", "v_drop")
@@ -26,18 +27,15 @@ _PLANT: Final = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "frictio
 
 def report_lines(result: Identified) -> list[str]:
     """Table of the estimates, and of the differences to a simulation with them."""
-    lines = ["                    value   95 % interval"]
-    for name, estimate, unit in rows_of(result.estimates):
-        low, high = estimate.interval
-        span = "" if estimate.sigma == 0.0 else f"{low:.4g} .. {high:.4g}"
-        lines.append(f"{name:13} {estimate.value:12.5g}   {span:26} {unit}".rstrip())
+    lines = result.estimates.lines()
     bias = result.log.notes.get("bias")
     if bias is not None and "l_d" in result.estimates.values:
         lines.append(f"l_d is valid at {bias['l_d']:.2g} A along the flux, l_q without q current")
     if result.refinement is not None:
-        lines.append("difference to the simulation (root mean square)   before    after")
+        cells = [["difference to the simulation (root mean square)", "before", "after"]]
         for column, before in result.refinement.before.items():
-            lines.append(f"  {column:47} {before:8.3g} {result.refinement.after[column]:8.3g}")
+            cells.append([f"  {column}", f"{before:.3g}", f"{result.refinement.after[column]:.3g}"])
+        lines += aligned(cells, "<>")
     return lines
 
 
@@ -125,7 +123,7 @@ def draw(path: Path, result: Identified) -> None:
 def _bars(plot: Any, result: Identified) -> None:
     rows = [
         (name, 100.0 * COVERAGE * one.sigma / abs(one.value))
-        for name, one, _ in rows_of(result.estimates)
+        for name, one, _ in result.estimates.rows()
         if one.value and one.sigma and name not in ("offset_alpha", "offset_beta", "load")
     ]
     rows = [(name, part) for name, part in rows if math.isfinite(part)]

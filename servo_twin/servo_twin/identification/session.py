@@ -13,10 +13,11 @@ from servo_measurement.estimation import estimates_of, inductance_at_low_current
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_config import fitted, tuned_axis
 from servo_measurement.motor_test import MotorTest
-from servo_measurement.motor_values import UNITS, Estimate, Limits, MotorEstimates
+from servo_measurement.motor_values import UNITS, Limits, MotorEstimates
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.table_text import aligned
 from servo_tuning.errors import ConfigError
 
 from servo_twin.board import Board, SimulationError
@@ -230,7 +231,7 @@ def tuned_table(
         design = tuned_axis(table, result.log.axis)
     except ConfigError as error:
         return None, (f"no feasible configuration: {error}",)
-    lines = []
+    rows = []
     for name, margins in (
         ("current d", design.current_loop("d").margins()),
         ("current q", design.current_loop("q").margins()),
@@ -240,10 +241,5 @@ def tuned_table(
         crossover = "-" if margins.crossover is None else f"{margins.crossover:.4g} Hz"
         phase = "-" if margins.phase is None else f"{margins.phase:.1f} deg"
         gain = "-" if margins.gain is None else f"{margins.gain:.2f}"
-        lines.append(f"{name:10} crossover {crossover:>10}  phase margin {phase:>9}  gain margin {gain:>6}")
-    return table, lines
-
-
-def rows_of(estimates: MotorEstimates) -> list[tuple[str, Estimate, str]]:
-    """Name, estimate and unit, in the order of the contract."""
-    return [(name, estimates.values[name], unit) for name, unit in UNITS.items() if name in estimates.values]
+        rows.append([name, f"crossover {crossover}", f"phase margin {phase}", f"gain margin {gain}"])
+    return table, aligned(rows)

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from servo_measurement.motor_values import Limits
+from servo_msgs_py.table_text import aligned
 
 from servo_twin.identification.motors import random_motor, wide_motor
 from servo_twin.identification.session import identified, measure_virtual, tuned_table
@@ -86,7 +87,7 @@ def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
     """Summary as lines of text."""
     done = [trial for _, trial in trials if not trial.problems]
     lines = [f"{len(trials)} motors: {len(done)} identified, {len(trials) - len(done)} not identified, with a reason"]
-    lines.append("           within target    |error| 50 %     95 %      max   interval covers")
+    rows = [["", "within target", "|error| 50 %", "95 %", "max", "interval covers"]]
     for name in (*TARGETS, "viscous"):
         errors = np.array([abs(trial.errors[name]) for trial in done if name in trial.errors])
         if not errors.size:
@@ -95,8 +96,9 @@ def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
         target = TARGETS.get(name)
         within = "" if target is None else f"{100 * np.mean(errors <= target):.1f} % < {100 * target:g} %"
         half, maximum = np.percentile(errors, (50, 95))
-        figures = f"{100 * half:12.2f} % {100 * maximum:7.2f} % {100 * errors.max():7.2f} % {100 * covered:10.1f} %"
-        lines.append(f"{name:10} {within:>15}  {figures}")
+        figures = (f"{100 * figure:.2f} %" for figure in (half, maximum, errors.max()))
+        rows.append([name, within, *figures, f"{100 * covered:.1f} %"])
+    lines += aligned(rows, "<>")
     seconds = np.array([trial.seconds for _, trial in trials])
     lines.append(f"board time: median {np.median(seconds):.1f} s, maximum {seconds.max():.1f} s (limit {TIME_MAX:g} s)")
     false = [number for number, trial in trials if trial.false_success]

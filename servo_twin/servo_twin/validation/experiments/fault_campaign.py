@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
 from servo_twin.level import Level
@@ -293,8 +294,8 @@ def judge(results: Sequence[Result]) -> Outcome:
         return [r for r in results if r.trial.fault.kind == kind and motor in ("", r.trial.motor.name)]
 
     rows = [_row(kind, among(kind)) for kind in kinds]
-    table = [_line("passed of all trials", motors)]
-    table += [_line(kind, [_cell(among(kind, motor)) for motor in motors]) for kind in kinds]
+    cells = [[kind, *(_cell(among(kind, motor)) for motor in motors)] for kind in kinds]
+    table = aligned([["passed of all trials", *motors], *cells], "<>")
     curves = []
     for motor in motors:
         points = [(k, r.seconds) for k, kind in enumerate(kinds) for r in among(kind, motor) if r.seconds is not None]
@@ -316,10 +317,6 @@ def _row(kind: str, own: Sequence[Result]) -> Row:
 
 def _cell(own: Sequence[Result]) -> str:
     return f"{sum(not r.failed for r in own)}/{len(own)}"
-
-
-def _line(head: str, cells: Sequence[str]) -> str:
-    return f"{head:<24}" + "".join(f"{cell:>8}" for cell in cells)
 
 
 # ---- command line

@@ -10,6 +10,7 @@ from typing import Any, Final
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.table_text import aligned
 from servo_msgs_py.text_file import toml_text
 from servo_tuning.reading import SERVO_TOML
 from tqdm import tqdm
@@ -136,12 +137,12 @@ def _check_figure(work: Candidates, objective: Objective) -> None:
 
 
 def _table(best: Sequence[Score], present: Score) -> list[str]:
-    lines = [f"{'':>7}  {'nominal':>9} {'mean':>9} {'worst':>9} {'violations':>10}"]
+    rows = [["", "nominal", "mean", "worst", "violations", ""]]
     for label, score in (("present", present), *((f"{k + 1}", score) for k, score in enumerate(best))):
         values = ", ".join(f"{name} = {value:.4g}" for name, value in score.candidate.items())
-        cells = f"{score.nominal:9.4g} {score.mean:9.4g} {score.worst:9.4g} {score.violations:10}"
-        lines.append(f"{label:>7}  {cells}  {values}".rstrip())
-    return lines
+        figures = (f"{figure:.4g}" for figure in (score.nominal, score.mean, score.worst))
+        rows.append([label, *figures, str(score.violations), values])
+    return aligned(rows, ">>>>><")
 
 
 def _draw(path: Path, found: Sequence[Score], best: Sequence[Score], present: Score, objective: Objective) -> None:

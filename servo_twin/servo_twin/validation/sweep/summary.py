@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
+from servo_msgs_py.table_text import aligned
+
 from servo_twin.validation.sweep.trial import Figure, Trial
 
 WORST: Final = 3
@@ -67,12 +69,11 @@ class Summary:
         replay : str
             Command that repeats a trial, without the trial number.
         """
-        width = max(map(len, self.figures), default=6)
-        lines = [f"{'figure':{width}}  {'mean':>10} {'min':>10} {'max':>10}  {'outside':>7}  unit"]
+        rows = [["figure", "mean", "min", "max", "outside", "unit"]]
         for name, f in self.figures.items():
             numbers = [f.mean, f.minimum, f.maximum] if f.count > f.absent else [math.nan] * 3
-            cells = " ".join(f"{number:10.4g}" for number in numbers)
-            lines.append(f"{name:{width}}  {cells}  {f.outside:>7}  {f.unit}".rstrip())
+            rows.append([name, *(f"{number:.4g}" for number in numbers), str(f.outside), f.unit])
+        lines = aligned(rows, "<>>>><")
         outside = [(name, f) for name, f in self.figures.items() if f.outside]
         if outside:
             lines += ["", "worst trials outside a bound:"]

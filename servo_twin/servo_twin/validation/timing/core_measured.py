@@ -17,6 +17,7 @@ import numpy as np
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.table_text import aligned
 from servo_msgs_py.text_file import parse_toml, read_text, read_toml
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
@@ -181,10 +182,8 @@ def _widths(path: Path) -> dict[str, dict[str, float]]:
 
 
 def _table(rows: Sequence[Row], cycles: float) -> str:
-    lines = ["state    handler  instructions  width [us]  cycles each error"]
-    lines += [
-        f"{r.state:8} {r.handler:7} {r.instructions:13.0f} {1e6 * CLOCK * r.measured:11.2f} {r.cycles:12.2f}"
-        f" {r.cycles / cycles - 1.0:+5.0%}"
-        for r in rows
-    ]
-    return "\n".join(lines)
+    cells = [["state", "handler", "instructions", "width [us]", "cycles each", "error"]]
+    for r in rows:
+        figures = f"{r.instructions:.0f}", f"{1e6 * CLOCK * r.measured:.2f}", f"{r.cycles:.2f}"
+        cells.append([r.state, r.handler, *figures, f"{r.cycles / cycles - 1.0:+.0%}"])
+    return "\n".join(aligned(cells, "<<>"))
