@@ -31,7 +31,7 @@ setup(
     ],
     zip_safe=False,
     python_requires=">=3.10",
-    install_requires=["numpy", "pyserial>=3.5", "servo_msgs_py"],
+    install_requires=["numpy", "pyserial>=3.5", "servo_msgs_py", "tqdm"],
     extras_require={
         "completion": ["argcomplete"],  # of servo-command in the shell
         "plot": ["matplotlib"],

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from servo_msgs_py.runtime.program import complain, program
 
 from servo_bridge.command_parser import PATH_VERBS, QUANTITIES, command_parser
+from servo_bridge.tool_progress import progress_bar, show
 
 if TYPE_CHECKING:
     from trajectory_msgs.msg import JointTrajectory
@@ -93,15 +94,8 @@ def _move(commander: Commander, args: argparse.Namespace) -> str:
 
 
 def _follow(motions: Motions, message: JointTrajectory, duration: float) -> str:
-    shown = sys.stderr.isatty()
-
-    def progress(part: float) -> None:
-        if shown:
-            print(f"\r{100.0 * part:3.0f} %", end="", file=sys.stderr, flush=True)
-
-    motions.follow(message, progress, duration)
-    if shown:
-        print("\r     \r", end="", file=sys.stderr, flush=True)
+    with progress_bar() as bar:
+        motions.follow(message, lambda part: show(bar, "", round(100.0 * part), 100), duration)
     return f"done: {motions.positions_text(message.joint_names)}"
 
 

@@ -21,7 +21,7 @@ from servo_msgs_py.runtime.program import complain, deferred
 
 from servo_bridge.bode_recording import write_recording
 from servo_bridge.measurement_access import measurement_access
-from servo_bridge.tool_progress import ProgressLine
+from servo_bridge.tool_progress import progress_bar, show
 from servo_msgs_py import argument
 
 if TYPE_CHECKING:
@@ -72,13 +72,13 @@ def bode(context: Context) -> int:
         _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
     )
     try:
-        with deferred() as stop, measurement_access(context.session, stop.check) as access, ProgressLine() as progress:
+        with deferred() as stop, measurement_access(context.session, stop.check) as access, progress_bar() as bar:
             result = measure(
                 access,
                 request,
                 enable=args.enable,
                 report=lambda sentence: complain(f"servo-tool: {sentence}"),
-                progress=progress.bar,
+                progress=lambda text, done, total: show(bar, f"{text} ", done, total),
             )
         print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))
         _write(result, args.out, args.rrd)

@@ -16,7 +16,7 @@ from servo_bridge.bursts.recording import BurstRecording, Phase
 from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.tool_commands import record as record_rows
 from servo_bridge.tool_commands import warn
-from servo_bridge.tool_progress import ProgressLine
+from servo_bridge.tool_progress import progress_bar, show
 from servo_bridge.tool_values import UsageError
 from servo_bridge.wire.session import Session
 
@@ -51,13 +51,13 @@ def record(context: Context) -> int:
 def run(recording: BurstRecording, session: Session, timeout: float | None = None) -> Trace:
     """Record a burst until its trigger, a signal or the timeout [s], with a progress line."""
     start = time.monotonic()
-    with ProgressLine() as progress, deferred() as stop:
+    with progress_bar() as bar, deferred() as stop:
         while (burst := recording.step(session)) is None:
             seconds = time.monotonic() - start
             if recording.phase is Phase.READING:
-                progress.bar("reading", recording.read, recording.size)
+                show(bar, "reading ", recording.read, recording.size)
             else:
-                progress.text(f"{recording.phase.value}, {seconds:.0f} s")
+                show(bar, f"{recording.phase.value}, {seconds:.0f} s")
             if stop.requested or (timeout is not None and seconds >= timeout):
                 recording.stop()
             time.sleep(recording.pause)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NoReturn
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name, numbers
@@ -25,12 +25,14 @@ from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.sampler import Sampler
 from servo_bridge.scope_view import Curve, ScopeView, ViewLostError
 from servo_bridge.tool_commands import warn
-from servo_bridge.tool_progress import ProgressLine
+from servo_bridge.tool_progress import progress_bar, show
 from servo_bridge.tool_values import UsageError, lookup, opened
 from servo_bridge.wire.session import Session
 from servo_msgs_py import argument
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from servo_bridge.tool_commands import Context
 
 _TELEMETRY: Final = (*(f"{axis_name(k)}.{name}" for k in range(AXES) for name in ("position", "speed", "i_q")), "u_dc")
@@ -157,7 +159,7 @@ class _Run:
 
     def until_ended(self, view: ScopeView, count: int | None) -> None:
         """Continue until a signal, or for `count` bursts."""
-        with ProgressLine() as progress, deferred() as stop:
+        with progress_bar() as bar, deferred() as stop:
             try:
                 self._telemetry.read()  # origin of the timeline
                 self._again()  # restart: the viewer may have taken long to open
@@ -166,7 +168,7 @@ class _Run:
                     self._telemetry.read()
                     self._telemetry.show(view)
                     if time.monotonic() >= due:
-                        self._step(view, progress)
+                        self._step(view, bar)
                         if self.bursts == count:
                             break
                         due = time.monotonic() + self._recording.pause
@@ -181,19 +183,19 @@ class _Run:
         self._recording, self._stopped_ns = BurstRecording(self._request, self._catalogue), None
         self.begin()
 
-    def _step(self, view: ScopeView, progress: ProgressLine) -> None:
+    def _step(self, view: ScopeView, bar: tqdm[NoReturn]) -> None:
         recording = self._recording
         burst = recording.step(self._session)
         if recording.phase is Phase.READING and self._stopped_ns is None:
             self._stopped_ns = time.monotonic_ns()
         if burst is not None:
-            with progress:
-                self._show(view, burst)
+            bar.clear()
+            self._show(view, burst)
             self._again()
         elif recording.phase is Phase.READING:
-            progress.bar(f"burst {self.bursts + 1}: reading", recording.read, recording.size)
+            show(bar, f"burst {self.bursts + 1}: reading ", recording.read, recording.size)
         else:
-            progress.text(f"burst {self.bursts + 1}: {recording.phase.value}, {self._telemetry.rows} rows of telemetry")
+            show(bar, f"burst {self.bursts + 1}: {recording.phase.value}, {self._telemetry.rows} rows of telemetry")
 
     def _show(self, view: ScopeView, burst: Trace) -> None:
         assert self._stopped_ns is not None

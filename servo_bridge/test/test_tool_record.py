@@ -18,7 +18,7 @@ from fake_servo import CATALOGUE, FakeServo
 from fake_target import RO, FakeEntry, FakeTarget
 from fake_target_v3 import FakeTargetV3
 from servo_bridge.bursts import recording
-from servo_bridge.tool_progress import ProgressLine
+from servo_bridge.tool_progress import progress_bar, show
 
 from servo_bridge import tool
 
@@ -233,15 +233,22 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_progress_is_one_line_of_a_terminal_and_erased_at_the_end() -> None:
-    terminal, pipe = Terminal(), io.StringIO()
-    for stream in (terminal, pipe):
-        with ProgressLine(stream) as progress:
-            progress.bar("reading", 1, 4)
-            progress.bar("reading", 4, 4)
-    assert pipe.getvalue() == ""
-    shown = terminal.getvalue().split("\r\x1b[K")
-    assert shown[1:] == [f"reading [{'#' * 8}{'.' * 22}]  25%", f"reading [{'#' * 30}] 100%", ""]
+@pytest.mark.parametrize("stream", [Terminal(), io.StringIO()])
+def test_progress_is_one_line_of_a_terminal_and_erased_at_the_end(
+    stream: io.StringIO, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", stream)
+    with progress_bar() as bar:
+        bar.mininterval = 0.0
+        show(bar, "waiting")
+        show(bar, "reading ", 1, 4)
+        show(bar, "reading ", 4, 4)
+    shown = [line.rstrip() for line in stream.getvalue().split("\r") if line.strip()]
+    if not stream.isatty():
+        assert shown == []
+        return
+    assert [line.partition("|")[0] for line in shown] == ["waiting", "reading  25%", "reading 100%"]
+    assert stream.getvalue().endswith(f"{' ' * len(shown[-1])}\r")
 
 
 @pytest.mark.parametrize("big_endian", [False, True])
