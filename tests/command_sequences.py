@@ -341,7 +341,7 @@ class CommandSequence:
         board.inject(HotPowerStage(0, _HOT))
         for _attempt in range(_FAULT_POLLS):
             yield 0.005
-            if board.read_raw("axis1.faults") != [0]:
+            if board.read_words("axis1.faults") != [0]:
                 self._permission.stop(self._now(), [0])
                 break
         board.inject(HotPowerStage(0, _COLD))

@@ -170,7 +170,7 @@ class LineSimulation:
         texts = []
         for axis in range(AXES):
             state, substate, faults = (
-                self.board.read_raw(f"{axis_name(axis)}.{name}")[0] for name in ("state", "substate", "faults")
+                self.board.read_words(f"{axis_name(axis)}.{name}")[0] for name in ("state", "substate", "faults")
             )
             label = self.board.catalogue.label("state_t", state)
             if label == "RUN":
@@ -181,7 +181,7 @@ class LineSimulation:
 
     def limits(self, axis: int) -> list[str]:
         """Names of the active limits of an axis."""
-        word = self.board.read_raw(f"{axis_name(axis)}.limits")[0]
+        word = self.board.read_words(f"{axis_name(axis)}.limits")[0]
         return [flag.name for flag in self.board.catalogue.active("limits", word)]
 
     def enable(self) -> None:

@@ -83,7 +83,7 @@ class PathSimulation:
 
     def read_limits(self) -> None:
         """Read the limits of the board."""
-        raw = {v.name: self.board.read_raw(v.name) for v in parameters(CATALOGUE)}
+        raw = {v.name: self.board.read_words(v.name) for v in parameters(CATALOGUE)}
         self.limits = path_limits(CATALOGUE, raw, self.arbiter.joints, self._motors)
 
     def _check(self, path: Path) -> None:
@@ -106,7 +106,7 @@ class PathSimulation:
         try:
             self.board.write_memory(self.board.address(write.variable) + offset, data)
         except BoardError as refusal:
-            error = f"{refusal}: {CATALOGUE.label('point_refusal_t', self.board.read_raw('point_refusal')[0])}"
+            error = f"{refusal}: {CATALOGUE.label('point_refusal_t', self.board.read_words('point_refusal')[0])}"
         self._unacknowledged.append((write, error))
 
     def follow(self, plan: Plan, joints: Sequence[str] = JOINTS, start: float = 0.0) -> None:

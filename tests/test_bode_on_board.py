@@ -108,7 +108,7 @@ def test_a_loop_is_measured_and_written(
     assert gain == pytest.approx(table[:, 6], abs=1e-4)
     assert board.read("axis1.faults") == 0
     assert board.read("cmd.enable") == [0, 0]
-    assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) in ("READY", "FREEWHEEL")
+    assert board.catalogue.label("substate_t", board.read_words("axis1.substate")[0]) in ("READY", "FREEWHEEL")
 
 
 def test_interruption_stops_the_shaft_and_restores_the_board(
@@ -124,7 +124,7 @@ def test_interruption_stops_the_shaft_and_restores_the_board(
     assert max(abs(row[0]) for row in line.log.omega) > 20.0
     assert board.read("axis1.test_point") == 0
     assert board.read("param.command_timeout") == 0.5
-    assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) == "SPIN"
+    assert board.catalogue.label("substate_t", board.read_words("axis1.substate")[0]) == "SPIN"
 
 
 def test_missing_answer_gives_exit_status_1_and_the_reason(

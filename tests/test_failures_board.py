@@ -209,8 +209,8 @@ class TestOneLine:
         [("cmd.mode", 9), ("cmd.enable", 2), ("param.feedback", 9), ("param.monitor", 99), ("param.host_timeout", 0)],
     )
     def test_value_out_of_range(self, sim: LineSimulation, name: str, raw: int) -> None:
-        before = sim.board.read_raw(name)
+        before = sim.board.read_words(name)
         with pytest.raises(StatusError, match="outside"):
             sim.host.write_raw(name, raw)
-        assert sim.board.read_raw(name) == before
+        assert sim.board.read_words(name) == before
         assert_standstill(sim, 0.2)

@@ -48,7 +48,7 @@ class _SignalledLine(SimulatedLine):
 def _state(board: Board) -> dict[str, list[int]]:
     names = ["config.checksum", "cmd.mode", "cmd.i_q", "cmd.speed"]
     names += [name for name in board.catalogue.variables if name.startswith("param.")]
-    return {name: board.read_raw(name) for name in names}
+    return {name: board.read_words(name) for name in names}
 
 
 def _identify(board: Board, folder: Path, line: SimulatedLine | None = None) -> int:

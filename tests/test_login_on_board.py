@@ -66,7 +66,7 @@ def test_commands_and_parameters_need_their_password(board: Board) -> None:
     assert log_in(board, 3, b"gains") == b"\x00\x03"
     assert (write(board, *command), write(board, *parameter)) == (OK, OK)
     assert write(board, *save) == OK
-    assert board.read_raw("param.host_timeout") == [2048]
+    assert board.read_words("param.host_timeout") == [2048]
     assert command_result(board, CLEAR_FAULTS) == DONE
     assert log_in(board, 3, b"guess") == b"\x92"
     assert (command_result(board, CLEAR_FAULTS), command_result(board, KEEP_ALIVE)) == (LEVEL, LEVEL)

@@ -12,8 +12,8 @@ from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.measurement_access import SessionAccess, measurement_access
 from servo_bridge.wire.session import connect
-from servo_measurement.access import Capture, MeasurementError, faults_refused, send_configuration
-from servo_msgs_py.axis_config_transfer import read_block
+from servo_measurement.access import Capture, MeasurementError, faults_refused
+from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess

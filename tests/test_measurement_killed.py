@@ -57,7 +57,7 @@ class DeadLine(SimulatedLine):
 
 
 def state(board: Board) -> dict[str, list[int]]:
-    return {name: board.read_raw(name) for name in KEPT}
+    return {name: board.read_words(name) for name in KEPT}
 
 
 def arguments_of(command: str, folder: Path) -> list[str]:
@@ -86,5 +86,5 @@ def test_board_restores_itself_when_the_program_is_killed(
         assert line.other_values, "the session had begun"
         assert line.restored - end < HOST_TIMEOUT + REST
         assert state(board) == before
-        assert board.catalogue.label("measurement_end_t", board.read_raw("measurement.ended")[0]) == "SILENT"
+        assert board.catalogue.label("measurement_end_t", board.read_words("measurement.ended")[0]) == "SILENT"
         assert abs(board.truth(0).omega_m) < 1.0

@@ -33,7 +33,7 @@ def small_motor() -> ServoConfig:
 
 
 def label(board: Board) -> str:
-    state, substate = (board.read_raw(f"axis1.{name}")[0] for name in ("state", "substate"))
+    state, substate = (board.read_words(f"axis1.{name}")[0] for name in ("state", "substate"))
     return state_label(board.catalogue, state, substate)
 
 

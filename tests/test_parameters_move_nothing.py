@@ -177,7 +177,7 @@ def test_parameter_written(
             if sim is None:
                 sim = new_simulation(level)
                 reach(sim)
-                before, states = {v.name: sim.board.read_raw(v.name) for v in parameters(CATALOGUE)}, sim.states()
+                before, states = {v.name: sim.board.read_words(v.name) for v in parameters(CATALOGUE)}, sim.states()
             sim.host.keep_alive()
             start = sim.now
             was = np.abs(sim.line.log.omega[-100:]).mean(axis=0)

@@ -36,7 +36,7 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
         board.run(0.02)
         yield board
         assert board.stats().serial_overruns == 0
-        assert board.read_raw("late_loops")[0] == 0
+        assert board.read_words("late_loops")[0] == 0
 
 
 def instants(board: Board, count: int) -> Iterator[int]:
@@ -68,7 +68,7 @@ def test_set_points_of_both_axes_take_effect_in_the_same_tick(board: Board, wait
     address = board.address("cmd.speed")
     speed = board.catalogue["cmd.speed"].encode_raw
     for k in instants(board, count):
-        before = [board.read_raw(f"axis{axis + 1}.speed_ref")[0] for axis in range(AXES)]
+        before = [board.read_words(f"axis{axis + 1}.speed_ref")[0] for axis in range(AXES)]
         target = SPEED if k % 2 == 0 else 0
         if waiting:
             board.write_raw("cmd.speed", before)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,16 +15,15 @@ from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import write_memory
 from servo_bridge.freemaster.line import Line
-from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import computed
 from servo_bridge.wire.session import connect
+from servo_bridge.wire.session_port import SessionPort
 from servo_msgs_py.blocks_message import blocks_message
 from servo_msgs_py.board_storage import StorageRefusedError, begin_request, execute_request
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.board import Board
 from servo_twin.level import Level
-from servo_twin.lockstep.replica import Replica
 from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import Trigger
 from test_tune_on_board import BAUD, ToolBench, edited
@@ -79,19 +78,19 @@ def test_request_with_a_lost_answer_is_executed_once() -> None:
         board.run(0.1)
         line = LossyAnswerLine(board)
         session = connect(Client(Line(line, baud=BAUD, clock=line.clock, retries=3)), Catalogue.load())
-        memory = BlockSession(session)
+        memory = SessionPort(session)
         written: list[str] = []
         write = memory.write_words
 
-        def write_words(name: str, words: list[int]) -> bool:
+        def write_words(name: str, words: Sequence[int], first: int = 0) -> bool:
             line.lose = 2
             written.append(name)
-            return write(name, words)
+            return write(name, words, first)
 
-        memory.write_words = write_words  # type: ignore[method-assign,assignment]
+        memory.write_words = write_words  # type: ignore[method-assign]
         requests = board.read("storage.saves")
         for number in (1, 2):
-            assert execute_request(memory, "SAVE", memory.wait).sequence == number
+            assert execute_request(memory, "SAVE").sequence == number
         assert line.lose == 0
         assert written == ["storage.request"] * 2
         assert board.read("storage.saves") == 2
@@ -99,7 +98,7 @@ def test_request_with_a_lost_answer_is_executed_once() -> None:
         board.write("cmd.enable", [1, 0])
         board.run(0.01)
         with pytest.raises(StorageRefusedError, match="moving or enabled"):
-            execute_request(memory, "SAVE", memory.wait)
+            execute_request(memory, "SAVE")
 
 
 @pytest.mark.parametrize("level", ["ideal", "registers"])
@@ -107,7 +106,7 @@ def test_no_byte_is_lost_during_an_erase(level: Level) -> None:
     """A write that takes 14 ms on the line is processed after the erase."""
     with Board(level=level) as board:
         board.run(0.1)
-        begin_request(Replica(board), "SAVE")
+        begin_request(board, "SAVE")
         board.run(0.0005)
         board.serial_in(write_memory(board.address("cmd.points"), bytes(128)).frame)
         board.run(0.0134)

@@ -192,7 +192,7 @@ def test_stream_replaces_a_path_and_a_set_point_replaces_the_stream() -> None:
 def limited(board: Board, *, position_max: float) -> None:
     """Switch the soft limits of the board on [rad]."""
     mask = CATALOGUE.flag("features", "POSITION_LIMITS").mask
-    board.write_raw("param.features", [raw | mask for raw in board.read_raw("param.features")])
+    board.write_raw("param.features", [raw | mask for raw in board.read_words("param.features")])
     board.write("param.position_max", [position_max] * 2)
     board.run(0.01)
 

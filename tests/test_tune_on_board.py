@@ -54,7 +54,7 @@ class ToolBench:
         return run(Context(args, Catalogue.load(), self.session, "line", BAUD, LowLatency(True, "")))
 
     def raw(self, name: str) -> list[int]:
-        return self.board.read_raw(name)
+        return self.board.read_words(name)
 
 
 def edited(folder: Path, name: str, **groups: dict[str, Any]) -> Path:
@@ -202,7 +202,7 @@ class RecordingLine(SimulatedLine):
         while self.board.time_ns < until_ns:
             self.board.advance(min(until_ns, (self.board.time_ns // PERIOD_NS + 1) * PERIOD_NS))
             if self.board.time_ns % PERIOD_NS == 0:
-                self.seen.append((self.board.truth(0).i_q, self.board.read_raw("axis1.u_q")[0] * U_Q))
+                self.seen.append((self.board.truth(0).i_q, self.board.read_words("axis1.u_q")[0] * U_Q))
 
     def around(self, tick: int, periods: int) -> NDArray[np.float64]:
         """Rows of `periods` periods before and after a tick."""

@@ -37,8 +37,7 @@ def header(axis: int, block: dict[str, int]) -> list[int]:
 
 
 def take(bench: BlockBench, *axes: int) -> None:
-    bench.waits = 0
-    take_blocks(bench, axes, bench.tick)
+    take_blocks(bench, axes)
 
 
 def other(member: Member, raw: int) -> int:

@@ -63,8 +63,7 @@ class Session(BlockBench):
 
     def take(self, axis: int, block: dict[str, int]) -> None:
         send_block(self, axis, block)
-        self.waits = 0
-        take_blocks(self, [axis], self.tick)
+        take_blocks(self, [axis])
 
     def write_one(self, name: str, word: int, axis: int = 0) -> int:
         data = CATALOGUE[name].pack([word])

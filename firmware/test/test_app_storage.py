@@ -134,8 +134,7 @@ class StorageBench(BlockBench):
         self.set_parameter("speed_limit", speed)
         block = read_block(self, 1)
         send_block(self, 1, {**block, "position_gain": block["position_gain"] + gain})
-        self.waits = 0
-        take_blocks(self, [1], self.tick)
+        take_blocks(self, [1])
 
 
 @pytest.fixture
@@ -187,7 +186,7 @@ def test_all_values_are_restored_after_a_reset(core: Core, data: st.DataObject) 
     ]
     for axis, block in enumerate(blocks):
         send_block(bench, axis, block)
-    take_blocks(bench, [0, 1], bench.tick)
+    take_blocks(bench, [0, 1])
     for v in PARAMETERS:
         assert bench.write_words(v.name, [data.draw(st.integers(*v.raw_range)) for _ in range(v.count)])
     values = bench.values()
@@ -494,7 +493,7 @@ def test_values_changed_during_a_save_cancel_the_save(bench: StorageBench, what:
     else:
         block = read_block(bench, 0)
         send_block(bench, 0, {**block, "position_gain": block["position_gain"] + 1})
-        take_blocks(bench, [0], bench.tick)
+        take_blocks(bench, [0])
     assert bench.finish() == "CHANGED"
     assert bench.copies() == ["DAMAGED", "INTACT"]
     bench.start(bench.flash)

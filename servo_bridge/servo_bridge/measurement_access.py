@@ -14,16 +14,16 @@ from servo_measurement.access import (
     MeasurementError,
     element_of,
 )
-from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_bridge.bursts.recording import BurstRecording, Phase
 from servo_bridge.bursts.request import Before, BurstRequest
-from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
+from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.tool_values import UnknownVariableError
 from servo_bridge.wire.keep_alive import kept_alive
 from servo_bridge.wire.session import Session
+from servo_bridge.wire.session_port import SessionPort
 
 _FAST, _SLOW = 0, 1
 _LEAD: Final = 0.2  # longer than the detection of the end of a recording, and its stop [s]
@@ -33,7 +33,7 @@ _ATTEND: Final = 0.08  # period of calls of `meanwhile` during a recording [s]
 _PAUSE: Final = 0.02  # period of checks for a due keep-alive [s]
 
 
-class SessionAccess(BoardAccess):
+class SessionAccess(SessionPort, BoardAccess):
     """Access to the board of a session; see `measurement_access`.
 
     Parameters
@@ -45,35 +45,12 @@ class SessionAccess(BoardAccess):
     """
 
     def __init__(self, session: Session, meanwhile: Callable[[], None]) -> None:
-        self._session, self._meanwhile = session, meanwhile
-        self._line = session.client.line
-
-    def clock(self) -> float:
-        """Time of the clock of the line [s]."""
-        return self._line.clock() * 1e-9
-
-    @property
-    def catalogue(self) -> Catalogue:
-        """Variables of the board."""
-        return self._session.catalogue
+        super().__init__(session)
+        self._meanwhile = meanwhile
 
     def _board_time(self) -> float:
         """Time of the board, which may run slower than that of the computer [s]."""
         return self.read_words("tick")[0] * PERIOD_NS * 1e-9
-
-    def read_words(self, name: str) -> list[int]:
-        variable = self._session.variables[name]
-        return self.catalogue[name].decode_raw(self._session.client.read_memory(variable.address, variable.size))
-
-    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        offset, data = self.catalogue[name].encode_part(words, first)
-        try:
-            self._session.client.write_memory(self._session.variables[name].address + offset, data)
-        except StatusError as error:
-            if error.code != Status.OUT_OF_RANGE:
-                raise
-            return False
-        return True
 
     def wait(self, seconds: float) -> None:
         """Wait [s]; `meanwhile` is called periodically."""

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from servo_bridge.board_context import BoardContext
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered
-from servo_bridge.tuning.block_session import BlockSession
+from servo_bridge.wire.session_port import SessionPort
 from servo_msgs_py import topics
 
 _TIMEOUT: Final = 5.0
@@ -102,7 +102,7 @@ class StorageService:
 
     def _job(
         self,
-        work: Callable[[BlockSession], T],
+        work: Callable[[SessionPort], T],
         then: Callable[[T], None],
         failed: Callable[[BaseException], None],
     ) -> None:
@@ -115,4 +115,4 @@ class StorageService:
             else:
                 failed(error)
 
-        self._context.when_done(self._context.call(lambda session: work(BlockSession(session))), done)
+        self._context.when_done(self._context.call(lambda session: work(SessionPort(session))), done)

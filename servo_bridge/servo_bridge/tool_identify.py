@@ -28,8 +28,8 @@ from servo_tuning.reading import SERVO_TOML
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.measurement_access import measurement_access
 from servo_bridge.tool_values import UsageError
-from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import computed, read_blocks
+from servo_bridge.wire.session_port import SessionPort
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -124,7 +124,7 @@ def _base(context: Context) -> dict[str, Any]:
 def _refuse_other_machine(context: Context, path: Path) -> None:
     """Refuse a file that nobody has chosen for this board if the board has other pins or stops."""
     blocks = computed(path, context.catalogue).blocks
-    for axis, block in read_blocks(BlockSession(context.session)).items():
+    for axis, block in read_blocks(SessionPort(context.session)).items():
         other = [
             member.name
             for member in AxisConfigTable.load().changes(block, blocks[axis])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from servo_msgs_py.board_storage import Kind, StorageRefusedError, execute_request, read_storage, success_text
 
-from servo_bridge.tuning.block_session import BlockSession
+from servo_bridge.wire.session_port import SessionPort
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -26,16 +26,15 @@ def factory(context: Context) -> int:
 def storage_row(context: Context) -> tuple[str, str]:
     """Row of ``servo-tool info``; empty for a board with another contract."""
     known = context.session.mismatch is None
-    return "storage", read_storage(BlockSession(context.session)).text if known else ""
+    return "storage", read_storage(SessionPort(context.session)).text if known else ""
 
 
 def _carry_out(context: Context, kind: Kind) -> int:
     if context.session.mismatch is not None:
         print(f"servo-tool: {context.session.mismatch}", file=sys.stderr)
         return 1
-    memory = BlockSession(context.session)
     try:
-        storage = execute_request(memory, kind, memory.wait)
+        storage = execute_request(SessionPort(context.session), kind)
     except StorageRefusedError as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1

@@ -15,8 +15,8 @@ from servo_tuning.board_file import text_of
 from servo_tuning.errors import ConfigError
 
 from servo_bridge.tool_values import UsageError
-from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import HEADING, Plan, computed, read_blocks
+from servo_bridge.wire.session_port import SessionPort
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -45,7 +45,7 @@ def tune(context: Context) -> int:
     if context.session.mismatch is not None:
         print(f"servo-tool: {context.session.mismatch}", file=sys.stderr)
         return 1
-    memory = BlockSession(context.session)
+    memory = SessionPort(context.session)
     try:
         return _from_board(context, memory) if args.from_board else _to_board(context, memory)
     except ConfigError as error:
@@ -56,7 +56,7 @@ def tune(context: Context) -> int:
     return 1
 
 
-def _from_board(context: Context, memory: BlockSession) -> int:
+def _from_board(context: Context, memory: SessionPort) -> int:
     text = text_of(list(read_blocks(memory).values()), HEADING)
     if context.args.output:
         write_file(Path(context.args.output), text)
@@ -66,7 +66,7 @@ def _from_board(context: Context, memory: BlockSession) -> int:
     return 0
 
 
-def _to_board(context: Context, memory: BlockSession) -> int:
+def _to_board(context: Context, memory: SessionPort) -> int:
     args = context.args
     blocks, warnings = computed(Path(args.file), context.catalogue)
     axes = range(AXES) if args.axis is None else [args.axis - 1]
@@ -83,6 +83,6 @@ def _to_board(context: Context, memory: BlockSession) -> int:
     if args.dry_run:
         return 0
     plan.send(memory)
-    taken = take_blocks(memory, plan.axes, memory.wait)
+    taken = take_blocks(memory, plan.axes)
     print(f"{plan.names} applied at tick {taken.tick}")
     return 0

@@ -6,12 +6,12 @@ The same measurement runs on a virtual board in simulated time and on a board at
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from servo_msgs_py.axis_config_transfer import AppliedBlocks, BlockMemory, send_block, take_blocks
+from servo_msgs_py.board_port import BoardPort
 from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
@@ -23,8 +23,6 @@ RECORDER_BYTES: Final = 7680
 TRIGGER_TIMEOUT: Final = 2.0
 """Timeout from the start of a recording to its trigger [s]."""
 
-_TAKE_TIME: Final = 1.0  # timeout for applying blocks [s]
-_TAKE_STEP: Final = 0.001
 _ELEMENT: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<index>\d+)\])?")
 
 
@@ -93,15 +91,8 @@ class Capture:
         return self.samples * self.step
 
 
-class BoardAccess(BlockMemory, Protocol):
+class BoardAccess(BoardPort, Protocol):
     """A board under measurement. Implementations are derived from it."""
-
-    @property
-    def catalogue(self) -> Catalogue:
-        """Catalogue of its variables."""
-
-    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        """Write elements of a variable from `first` on in one request; False if the board refuses the values."""
 
     def read(self, name: str) -> list[float]:
         """All elements of a variable [SI]."""
@@ -121,12 +112,6 @@ class BoardAccess(BlockMemory, Protocol):
         variable = self.catalogue[name]
         if not self.write_words(name, [variable.to_raw(value) for value in values], first):
             raise MeasurementError(f"{name}: the board refuses {', '.join(f'{value:g}' for value in values)}")
-
-    def clock(self) -> float:
-        """Elapsed time including communication [s]; only differences are meaningful."""
-
-    def wait(self, seconds: float) -> None:
-        """Let board time elapse [s]; the board does not detect a loss of its host during the wait."""
 
     def capacity(self, names: Sequence[str]) -> int:
         """Number of samples of these variables in one recording; elements of arrays as ``name[k]``."""
@@ -164,34 +149,6 @@ def element_of(catalogue: Catalogue, name: str) -> tuple[Variable, int]:
     if index >= variable.count:
         raise MeasurementError(f"{variable.name} has elements 0 .. {variable.count - 1}")
     return variable, index
-
-
-def send_configuration(access: BoardAccess, blocks: Mapping[int, Mapping[str, int]]) -> AppliedBlocks:
-    """Send configuration blocks to the board and apply all in the same slow tick.
-
-    Parameters
-    ----------
-    access : BoardAccess
-        The board.
-    blocks : mapping
-        Members by path (`servo_msgs_py.axis_config.AxisConfigTable`), by index of the axis.
-
-    Raises
-    ------
-    AxisConfigError, BlockRefusedError
-        If a block is invalid, or the board refuses it.
-    """
-    for axis, block in blocks.items():
-        send_block(access, axis, block)
-    remaining = round(_TAKE_TIME / _TAKE_STEP)
-
-    def wait() -> bool:
-        nonlocal remaining
-        remaining -= 1
-        access.wait(_TAKE_STEP)
-        return remaining > 0
-
-    return take_blocks(access, sorted(blocks), wait)
 
 
 def refuse_faults(access: BoardAccess, axis: int, *accepted: str) -> None:

@@ -9,13 +9,14 @@ from functools import partial
 from typing import Any, Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import send_configuration
 from servo_msgs_py.trace import Trace
 from servo_tuning.configuration import Scales
 from servo_tuning.errors import ConfigError, exactly, higher, lower
 from servo_tuning.formats import GAIN
 from servo_tuning.schema import BOARD_GROUPS
 
-from servo_measurement.access import Capture, MeasurementError, refuse_faults, send_configuration
+from servo_measurement.access import Capture, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import LoggedAccess
 from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted

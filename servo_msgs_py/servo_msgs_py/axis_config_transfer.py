@@ -7,13 +7,15 @@ tick.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Final, NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
 
 from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.board_port import BoardPort, BoardWords, until
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 _HEAD: Final = 3  # words of the window before the members
+_TAKE_TIME: Final = 1.0  # timeout for applying blocks [s]
 
 _TEXTS: Final[Mapping[str, str]] = {
     "FORM": "malformed request; if another program also writes to the board, stop it and send again",
@@ -37,16 +39,6 @@ class BlockRefusedError(ValueError):
         self.reason = reason  # name of the reason in the table of variables
 
 
-class BlockMemory(Protocol):
-    """Raw integers of a board's variables."""
-
-    def read_words(self, name: str) -> list[int]:
-        """All elements of a variable."""
-
-    def write_words(self, name: str, words: Sequence[int]) -> bool:
-        """Write the first elements of a variable in one request; False if the board refuses the values."""
-
-
 class AppliedBlocks(NamedTuple):
     """Time at which blocks took effect, and their checksums."""
 
@@ -58,7 +50,7 @@ def _members_per_window() -> int:
     return Catalogue.load()["config.window"].count - _HEAD
 
 
-def read_block(memory: BlockMemory, axis: int) -> dict[str, int]:
+def read_block(memory: BoardWords, axis: int) -> dict[str, int]:
     """The active block.
 
     Raises
@@ -81,7 +73,7 @@ def read_block(memory: BlockMemory, axis: int) -> dict[str, int]:
     return block
 
 
-def send_block(memory: BlockMemory, axis: int, block: Mapping[str, int]) -> None:
+def send_block(memory: BoardWords, axis: int, block: Mapping[str, int]) -> None:
     """Write a block and its header, without applying it.
 
     Raises
@@ -101,32 +93,42 @@ def send_block(memory: BlockMemory, axis: int, block: Mapping[str, int]) -> None
     _write(memory, "config.header", [axis, _signed(table.layout), len(table), _signed(checksum)])
 
 
-def take_blocks(memory: BlockMemory, axes: Sequence[int], wait: Callable[[], bool]) -> AppliedBlocks:
+def take_blocks(board: BoardPort, axes: Sequence[int]) -> AppliedBlocks:
     """Apply complete blocks, all in the same slow tick or none.
 
     Parameters
     ----------
-    memory : BlockMemory
+    board : BoardPort
         The board.
     axes : sequence of int
         Indices of the axes.
-    wait : callable
-        Waits for a slow tick; False at the timeout.
 
     Raises
     ------
     BlockRefusedError
         If the board refuses.
     """
-    before = memory.read_words("config.answers")
-    _write(memory, "config.take", [sum(1 << axis for axis in axes)])
-    while memory.read_words("config.answers") == before:
-        if not wait():
-            raise BlockRefusedError("BUSY", _TEXTS["BUSY"])
-    return take_result(memory)
+    before = board.read_words("config.answers")
+    _write(board, "config.take", [sum(1 << axis for axis in axes)])
+    if not until(board, lambda: board.read_words("config.answers") != before, _TAKE_TIME):
+        raise BlockRefusedError("BUSY", _TEXTS["BUSY"])
+    return take_result(board)
 
 
-def take_result(memory: BlockMemory) -> AppliedBlocks:
+def send_configuration(board: BoardPort, blocks: Mapping[int, Mapping[str, int]]) -> AppliedBlocks:
+    """Send blocks by index of the axis, and apply all in the same slow tick.
+
+    Raises
+    ------
+    AxisConfigError, BlockRefusedError
+        If a block is invalid, or the board refuses it.
+    """
+    for axis, block in blocks.items():
+        send_block(board, axis, block)
+    return take_blocks(board, sorted(blocks))
+
+
+def take_result(memory: BoardWords) -> AppliedBlocks:
     """Result of the last ``config.take``, after the board has processed it.
 
     Raises
@@ -139,18 +141,18 @@ def take_result(memory: BlockMemory) -> AppliedBlocks:
     return AppliedBlocks(memory.read_words("config.taken_tick")[0], tuple(checksums[:AXES]))
 
 
-def _compare_layout(memory: BlockMemory, table: AxisConfigTable) -> None:
+def _compare_layout(memory: BoardWords, table: AxisConfigTable) -> None:
     if memory.read_words("config.layout") != [table.layout]:
         raise BlockRefusedError("LAYOUT", _TEXTS["LAYOUT"])
 
 
-def _write(memory: BlockMemory, name: str, words: Sequence[int]) -> None:
+def _write(memory: BoardWords, name: str, words: Sequence[int]) -> None:
     if not memory.write_words(name, words):
         _raise_refusal(memory, name)
         raise BlockRefusedError("FORM", _TEXTS["FORM"])
 
 
-def _raise_refusal(memory: BlockMemory, item: str) -> None:
+def _raise_refusal(memory: BoardWords, item: str) -> None:
     number = memory.read_words("config.refusal")[0]
     if number == 0:
         return

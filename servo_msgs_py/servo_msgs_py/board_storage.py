@@ -7,15 +7,16 @@ repeated when its response was lost.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
-from servo_msgs_py.axis_config_transfer import BlockMemory
+from servo_msgs_py.board_port import BoardPort, BoardWords, until
 from servo_msgs_py.catalogue import Catalogue
 
 Kind = Literal["SAVE", "FACTORY"]
 
 _COPIES: Final = "AB"
+_REQUEST_TIME: Final = 1.0  # timeout of a request [s]
 
 _REFUSALS: Final[Mapping[str, str]] = {
     "FORM": "malformed request; if another program also writes to the board, stop it and try again",
@@ -78,7 +79,7 @@ class Storage(NamedTuple):
         return self.trouble or f"{origin} since the reset; {newest}"
 
 
-def read_storage(memory: BlockMemory) -> Storage:
+def read_storage(memory: BoardWords) -> Storage:
     """Read the state of both copies."""
     catalogue = Catalogue.load()
     (sequence,), (source,) = memory.read_words("storage.sequence"), memory.read_words("storage.source")
@@ -90,7 +91,7 @@ def read_storage(memory: BlockMemory) -> Storage:
     )
 
 
-def begin_request(memory: BlockMemory, kind: Kind) -> int:
+def begin_request(memory: BoardWords, kind: Kind) -> int:
     """Send a request to the board.
 
     Returns
@@ -110,7 +111,7 @@ def begin_request(memory: BlockMemory, kind: Kind) -> int:
     return token
 
 
-def request_result(memory: BlockMemory, token: int) -> Storage | None:
+def request_result(memory: BoardWords, token: int) -> Storage | None:
     """State of the data flash after a request; None during its execution.
 
     Raises
@@ -129,27 +130,30 @@ def request_result(memory: BlockMemory, token: int) -> Storage | None:
     return read_storage(memory)
 
 
-def execute_request(memory: BlockMemory, kind: Kind, wait: Callable[[], bool]) -> Storage:
+def execute_request(board: BoardPort, kind: Kind) -> Storage:
     """Send a request and wait for its end.
 
     Parameters
     ----------
-    memory : BlockMemory
+    board : BoardPort
         The board.
     kind : {"SAVE", "FACTORY"}
         Store the active values, or erase the stored ones.
-    wait : callable
-        Waits a short time; False at the timeout.
 
     Raises
     ------
     StorageRefusedError
         If the request had no effect, or did not end before the timeout.
     """
-    token = begin_request(memory, kind)
-    while (result := request_result(memory, token)) is None:
-        if not wait():
-            raise StorageRefusedError("BUSY", _REFUSALS["BUSY"])
+    token = begin_request(board, kind)
+    results: list[Storage | None] = []
+
+    def ended() -> bool:
+        results.append(request_result(board, token))
+        return results[-1] is not None
+
+    if not until(board, ended, _REQUEST_TIME) or (result := results[-1]) is None:
+        raise StorageRefusedError("BUSY", _REFUSALS["BUSY"])
     return result
 
 
@@ -160,6 +164,6 @@ def success_text(kind: Kind, storage: Storage) -> str:
     return "both copies erased; the built-in values are used from the next reset on"
 
 
-def _refused(memory: BlockMemory) -> StorageRefusedError:
+def _refused(memory: BoardWords) -> StorageRefusedError:
     reason = Catalogue.load().label("storage_refusal_t", memory.read_words("storage.refusal")[0])
     return StorageRefusedError(reason, _REFUSALS.get(reason, reason))

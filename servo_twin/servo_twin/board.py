@@ -63,6 +63,7 @@ _FIRMWARE: Final[Mapping[Level, _Firmware]] = {
 }
 
 _IDLE: Final = (1 << 64) - 1
+_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status: value outside the range of the variable
 
 
 class ChipError(BoardError, SimulationError):
@@ -252,6 +253,12 @@ class Board:
         """Run for some simulated time [s]."""
         self.advance(self.time_ns + round(seconds * 1e9))
 
+    def clock(self) -> float:
+        """Simulated time since reset [s]."""
+        return self.time_ns * 1e-9
+
+    wait = run
+
     def record(self, until_ns: int) -> NDArray[np.void]:
         """As `advance`, and record the snapshot of every slow tick.
 
@@ -403,10 +410,29 @@ class Board:
         """
         self._write_bytes(name, self.catalogue[name].encode(value))
 
-    def read_raw(self, name: str) -> list[int]:
+    def read_words(self, name: str) -> list[int]:
         """Raw integers of a variable, one per element."""
         variable = self.catalogue[name]
         return variable.decode_raw(self._read_variable(variable))
+
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        """Write raw integers from element `first` on in one access; False if the board refuses them as out of range.
+
+        Raises
+        ------
+        ValueError
+            If an element does not exist.
+        BoardError
+            If the board refuses for another reason.
+        """
+        offset, data = self.catalogue[name].encode_part(words, first)
+        try:
+            self.write_memory(self.address(name) + offset, data)
+        except BoardError as error:
+            if error.status != _OUT_OF_RANGE:
+                raise BoardError(f"{name}: {error}", error.status) from None
+            return False
+        return True
 
     def write_raw(self, name: str, raw: int | Sequence[int]) -> None:
         """Write the raw integers of a variable, one per element."""

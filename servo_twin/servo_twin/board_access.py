@@ -19,7 +19,6 @@ from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board, BoardError
 
-_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status: value outside the range of the variable
 _FAST, _SLOW = 0, 1  # recorders
 _TRIGGER_POLL: Final = 0.002  # polling interval of the trigger [s]
 _START_TIME: Final = 5.0  # longest time of the function that starts the motion [s]
@@ -44,24 +43,17 @@ class VirtualBoardAccess(BoardAccess):
         return self.board.catalogue
 
     def read_words(self, name: str) -> list[int]:
-        return self.board.read_raw(name)
+        return self.board.read_words(name)
 
     def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        variable = self.catalogue[name]
-        if first < 0 or first + len(words) > variable.count:
-            raise ValueError(f"{name} has {variable.count} element(s), not {first} .. {first + len(words) - 1}")
-        data = variable.pack(words)
         try:
-            self.board.write_memory(self.board.address(name) + first * variable.element_size, data)
+            return self.board.write_words(name, words, first)
         except BoardError as error:
-            if error.status != _OUT_OF_RANGE:
-                raise MeasurementError(f"{name}: {error}") from None
-            return False
-        return True
+            raise MeasurementError(str(error)) from None
 
     def clock(self) -> float:
         """Simulated time [s]."""
-        return self.board.time_ns * 1e-9
+        return self.board.clock()
 
     def wait(self, seconds: float) -> None:
         """Advance the simulated time [s]."""

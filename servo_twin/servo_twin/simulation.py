@@ -96,12 +96,12 @@ def move(
     tolerance : int
         Permitted distance from the target after settling [counts].
     """
-    start = {axis: board.read_raw(f"{axis_name(axis)}.position")[0] for axis in targets}
-    raw = board.read_raw("cmd.position")
+    start = {axis: board.read_words(f"{axis_name(axis)}.position")[0] for axis in targets}
+    raw = board.read_words("cmd.position")
     for axis, target in targets.items():
         raw[axis] = target
     for axis in set(range(AXES)) - set(targets):
-        raw[axis] = board.read_raw(f"{axis_name(axis)}.position")[0]
+        raw[axis] = board.read_words(f"{axis_name(axis)}.position")[0]
     board.write_raw("cmd.position", raw)
     log = record(board, seconds)
     return [_measure(board, log, axis, start[axis], target, tolerance) for axis, target in targets.items()], log

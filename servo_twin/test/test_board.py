@@ -79,7 +79,7 @@ class TestVariables:
         board.write("param.speed_limit", [100.0, 200.0])
         assert board.read("param.speed_limit") == pytest.approx([100.0, 200.0], rel=1e-6)
         board.write_raw("param.host_timeout", 1234)
-        assert board.read_raw("param.host_timeout") == [1234]
+        assert board.read_words("param.host_timeout") == [1234]
         assert board.read("param.host_timeout") == pytest.approx(0.617)
 
     @pytest.mark.parametrize(
@@ -97,11 +97,11 @@ class TestVariables:
     def test_values_outside_the_range_of_a_variable_are_refused(
         self, board: Board, name: str, raw: int | list[int]
     ) -> None:
-        before = board.read_raw(name)
+        before = board.read_words(name)
         with pytest.raises(BoardError, match=f"{name}: .* outside the range of the variable") as error:
             board.write_raw(name, raw)
         assert error.value.status == 0x97
-        assert board.read_raw(name) == before
+        assert board.read_words(name) == before
 
     def test_refused_write_reports_variable_and_reason(self, board: Board) -> None:
         with pytest.raises(BoardError, match=r"axis1\.position: .*access denied") as error:
@@ -121,7 +121,7 @@ class TestVariables:
         log = board.record(board.time_ns + SLOW_NS)
         assert log.size == 1
         for variable in board.catalogue.snapshot_variables():
-            assert [int(log[variable.name][0])] == board.read_raw(variable.name), variable.name
+            assert [int(log[variable.name][0])] == board.read_words(variable.name), variable.name
         si = board.si(log)
         assert si["u_dc"][0] == board.read("u_dc") == pytest.approx(24.0, abs=0.1)
         assert bytes(log[0].tobytes()) == board.read("snapshot")
@@ -187,7 +187,7 @@ class TestPlant:
 
     def test_position_set_point_is_reached(self, board: Board) -> None:
         enable(board)
-        offsets = [board.truth(k).theta_m - float(board.read_raw(f"axis{k + 1}.position")[0]) * math.tau / 4000
+        offsets = [board.truth(k).theta_m - float(board.read_words(f"axis{k + 1}.position")[0]) * math.tau / 4000
                    for k in (0, 1)]  # fmt: skip
         board.write("cmd.position", [math.pi, -math.pi])
         board.run(1.5)

@@ -180,7 +180,7 @@ class TestCore:
         for cycles in (2.0, 7.0):
             with Board(level="registers", core=CoreSpeed(cycles, 30)) as board:
                 board.run(0.02)
-                assert (board.read_raw("late_loops")[0] > 0) == (cycles > 2.0)
+                assert (board.read_words("late_loops")[0] > 0) == (cycles > 2.0)
                 assert [faults(board, axis) for axis in range(2)] == [{"LATE_LOOP"} if cycles > 2.0 else set()] * 2
 
     @pytest.mark.parametrize("level", LEVELS)
@@ -194,7 +194,7 @@ class TestCore:
                 board.advance(board.time_ns + k * PERIOD_NS // 12)
                 board.inject(StalledCore(stall_us * 1e-6))
                 board.run(0.01)
-                late = board.read_raw("late_loops")[0]
+                late = board.read_words("late_loops")[0]
                 assert begin <= late <= begin + (2 if level == "registers" else 1)
 
     def test_a_bad_core_speed_is_refused(self) -> None:
@@ -220,7 +220,7 @@ class TestErrors:
             with pytest.raises(ChipError):
                 bad.peek(0x0100)
             good.run(0.01)
-            assert good.read_raw("tick")[0] > 100
+            assert good.read_words("tick")[0] > 100
 
 
 @pytest.mark.parametrize("seed", range(1, 7))
@@ -228,8 +228,8 @@ def test_no_encoder_edge_is_lost(seed: int) -> None:
     """The shaft oscillates about an edge during the rotor search, rests on it, and then accelerates."""
     with Board(level="registers", seed=seed) as board:
         enable(board)
-        begin = [(board.truth(axis).theta_m, board.read_raw(f"axis{axis + 1}.position")[0]) for axis in (0, 1)]
+        begin = [(board.truth(axis).theta_m, board.read_words(f"axis{axis + 1}.position")[0]) for axis in (0, 1)]
         move(board, {0: 3000, 1: -2000}, 0.5)
         for axis, (angle, position) in enumerate(begin):
             rotation = (board.truth(axis).theta_m - angle) * 4000 / (2 * np.pi)
-            assert board.read_raw(f"axis{axis + 1}.position")[0] - position == pytest.approx(rotation, abs=2.5)
+            assert board.read_words(f"axis{axis + 1}.position")[0] - position == pytest.approx(rotation, abs=2.5)

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from servo_measurement.access import Capture, MeasurementError, send_configuration
+from servo_measurement.access import Capture, MeasurementError
 from servo_measurement.bode import Bode, measure
 from servo_measurement.bode_plan import LOOPS, BodeRequest
 from servo_measurement.bode_report import as_dict, draw, text
 from servo_measurement.test_signal import end_test_signal
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_msgs_py.figure import PictureError
 from servo_msgs_py.trace import Trace
 from servo_tuning.reading import loads

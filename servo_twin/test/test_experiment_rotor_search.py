@@ -65,4 +65,4 @@ def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantCon
             board.write("cmd.enable", [1, 1])
             board.run(1.2)
             expected = board.catalogue.flag("faults", search_fault.fault).mask
-            assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [expected]
+            assert board.read_words("axis1.faults") == board.read_words("axis2.faults") == [expected]

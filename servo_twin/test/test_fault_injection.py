@@ -263,7 +263,7 @@ def counts_seen(board: Board) -> set[int]:
     seen = set()
     for _ in range(100):
         board.run(0.0005)
-        seen.add(board.read_raw("axis1.position")[0])
+        seen.add(board.read_words("axis1.position")[0])
     return seen
 
 
@@ -286,13 +286,13 @@ def test_with_a_stuck_line_the_position_alternates_by_one_count(board: Board, li
 def test_glitches_do_not_change_the_count(board: Board, line: Any) -> None:
     """Each glitch is an edge and its opposite."""
     board.run(0.01)
-    before = board.read_raw("axis1.position")[0]
+    before = board.read_words("axis1.position")[0]
     board.inject(EncoderGlitches(0, line, 2000.0))
     seen = counts_seen(board)
     assert all(abs(position - before) <= 1 for position in seen)
     board.clear_fault()
     board.run(0.001)
-    assert board.read_raw("axis1.position")[0] == before
+    assert board.read_words("axis1.position")[0] == before
 
 
 def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:

@@ -186,7 +186,7 @@ class _Watched(VirtualBoardAccess):
 def _state(board: Board) -> dict[str, list[int]]:
     names = ["config.checksum", "cmd.mode", "cmd.i_q", "cmd.speed"]
     names += [name for name in board.catalogue.variables if name.startswith("param.")]
-    return {name: board.read_raw(name) for name in names}
+    return {name: board.read_words(name) for name in names}
 
 
 def _set_protection(board: Board) -> None:

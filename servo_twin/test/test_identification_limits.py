@@ -55,11 +55,11 @@ def test_the_supply_fault_of_a_lower_voltage_is_cleared_and_returns() -> None:
         board.run(0.05)
         states = board.catalogue.enums["state_t"]
         assert board.read("axis1.state") == states["FAULT"], "the committed threshold is 16 V"
-        before = board.read_raw("config.checksum")
+        before = board.read_words("config.checksum")
         log = MotorTest(VirtualBoardAccess(board), 0, Limits(12.0, 1.0), servo_table()).run()
         assert log.labelled("hold")
         board.run(0.1)
-        assert board.read_raw("config.checksum") == before
+        assert board.read_words("config.checksum") == before
         assert board.read("axis1.state") == states["FAULT"]
 
 

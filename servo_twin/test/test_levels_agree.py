@@ -48,7 +48,7 @@ def test_shaft_at_rest_on_an_edge_is_not_detected_as_dead_line(level: Level) -> 
     """The search holds the rotor of axis 2 on an edge for 0.4 s, with 4 A on the d axis."""
     other = PLANT.with_axis(0, l_d=0.5 * PLANT.axes[0].l_d, l_q=0.5 * PLANT.axes[0].l_q)
     with at_level(level), spinning(other, 1) as board:
-        assert board.read_raw("axis2.faults")[0] == 0
+        assert board.read_words("axis2.faults")[0] == 0
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -86,7 +86,7 @@ def test_stalled_core_is_late_with_any_next_handler() -> None:
         board.advance(before)
         board.inject(StalledCore(0.001))
         board.run(0.003)
-        assert board.read_raw("axis1.faults")[0] & board.catalogue.flag("faults", "LATE_LOOP").mask
+        assert board.read_words("axis1.faults")[0] & board.catalogue.flag("faults", "LATE_LOOP").mask
 
 
 @pytest.mark.parametrize("level", LEVELS)

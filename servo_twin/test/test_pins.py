@@ -31,7 +31,7 @@ def board_with(level: Level, **pins: float) -> Board:
 
 
 def inputs(board: Board, axis: int = 0) -> int:
-    return board.read_raw(f"axis{axis + 1}.inputs")[0]
+    return board.read_words(f"axis{axis + 1}.inputs")[0]
 
 
 @LEVELS
@@ -52,7 +52,7 @@ def test_an_open_enable_circuit_opens_the_switches_without_software(level: Level
         board.clear_fault()  # closed again: the latch keeps the switches open until the firmware has read it
         board.run(0.005)
         assert abs(board.truth(0).i_q) < 1e-3
-        assert [flag.name for flag in board.catalogue.active("faults", board.read_raw("axis1.faults")[0])] == [
+        assert [flag.name for flag in board.catalogue.active("faults", board.read_words("axis1.faults")[0])] == [
             "ENABLE_INPUT"
         ]
 

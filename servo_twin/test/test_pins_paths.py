@@ -16,7 +16,7 @@ FAR = 3.0  # [rad]
 
 def sent(board: Board, *points: tuple[float, float, float]) -> None:
     """Queue points of axis 1: time from now [s], distance from the present position [rad], speed [rad/s]."""
-    tick, here = board.read_raw("tick")[0], position_of(board, 0) * COUNT
+    tick, here = board.read_words("tick")[0], position_of(board, 0) * COUNT
     encoded = [TimedPoint(0, tick + round(16000 * at), here + distance, speed) for at, distance, speed in points]
     words = encode_points(board.catalogue, encoded)
     board.write_memory(board.address("cmd.points"), board.catalogue["cmd.points"].pack(words))
@@ -51,7 +51,7 @@ def test_no_path_continues_into_an_active_switch(board: Board) -> None:
         sent(board, (0.05, 0.0, 0.0), (1.0, FAR, 0.0))
         board.run(1.2)
         assert ahead <= board.truth(0).theta_m - begin < ahead + 0.1
-    assert board.read_raw("axis1.faults")[0] == 0
+    assert board.read_words("axis1.faults")[0] == 0
 
 
 def test_load_is_held_until_the_brake_closes_after_disable_in_the_first_search() -> None:

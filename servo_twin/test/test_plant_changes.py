@@ -193,7 +193,7 @@ def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
 
         def error() -> float:
             board.run(0.001)
-            return board.read_raw("axis1.position")[0] * 2.0 * np.pi / 4000.0 - board.truth(0).theta_m
+            return board.read_words("axis1.position")[0] * 2.0 * np.pi / 4000.0 - board.truth(0).theta_m
 
         before = np.array([error() for _ in range(400)])
         fault = ShiftedDisc(0, 0.02, 1.0)

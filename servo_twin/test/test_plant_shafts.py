@@ -275,13 +275,13 @@ def test_edges_of_an_eccentric_disc_keep_their_order(level: Level) -> None:
     """One revolution in each direction with the largest permitted eccentricity: no count is lost."""
     with Board(free(disc_eccentricity=0.19, viscous=1e-5), level=level) as board:
         board.run(0.01)
-        start = board.read_raw("axis1.position")[0], board.truth(0).theta_m
+        start = board.read_words("axis1.position")[0], board.truth(0).theta_m
         for load in (-0.01, 0.01, 0.01, -0.01):
             board.set_load(0, load)
             board.run(0.05)
         board.lock_shaft(0)
         board.run(0.01)
-        end = board.read_raw("axis1.position")[0], board.truth(0).theta_m
+        end = board.read_words("axis1.position")[0], board.truth(0).theta_m
     seen_angle = [theta + 0.19 * math.sin(theta) for _, theta in (start, end)]
     assert end[0] - start[0] == pytest.approx((seen_angle[1] - seen_angle[0]) * 4000.0 / (2.0 * math.pi), abs=1.5)
 

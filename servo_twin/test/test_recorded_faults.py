@@ -129,9 +129,9 @@ def test_a_fault_after_clearing_is_a_first_one_again(board: Board, axis: int) ->
     board.run(0.05)
     board.write("cmd.clear_faults", [1, 1])
     board.run(0.05)
-    assert board.read_raw(f"axis{axis + 1}.faults") == [0]
+    assert board.read_words(f"axis{axis + 1}.faults") == [0]
     board.set_supply(36.0)
-    while board.read_raw(f"axis{axis + 1}.faults") == [0]:
+    while board.read_words(f"axis{axis + 1}.faults") == [0]:
         board.run(0.001)
     after = fault_record(board, axis)
     assert (fault(after), after.place, len(after.samples)) == ("OVER_VOLTAGE", "STOP", 64)

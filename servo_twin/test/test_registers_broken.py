@@ -123,10 +123,10 @@ def test_late_trigger_leaves_m1_without_results(board: Board) -> None:
 
 
 def test_early_interrupt_leaves_m1_without_results(board: Board) -> None:
-    (tick,) = board.read_raw("tick")
+    (tick,) = board.read_words("tick")
     poke_pwm(board, PWMA, 1, VAL5, HALF - 300)
     board.run(0.02)
-    assert board.read_raw("tick")[0] <= tick + 8
+    assert board.read_words("tick")[0] <= tick + 8
     assert resets_by_watchdog(board)
 
 
@@ -182,7 +182,7 @@ def test_a_lost_interrupt_or_trigger_restarts_the_sequence_without_a_reset(
     assert after in ([M1, M2] * (len(after) // 2), [*[M1, M2] * (len(after) // 2), M1])
     assert len(after) >= 14
     board.run(0.002)
-    assert 1 <= board.read_raw("late_loops")[0] <= 4
+    assert 1 <= board.read_words("late_loops")[0] <= 4
     assert not resets_by_watchdog(board)
 
 

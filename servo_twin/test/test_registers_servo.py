@@ -83,10 +83,10 @@ def travel(level: Level) -> NDArray[np.void]:
         board.write("cmd.enable", [1, 1])
         board.run(0.85)
         assert [board.read(f"axis{n}.substate") for n in (1, 2)] == [SPIN, SPIN]
-        start = [board.read_raw(f"axis{n}.position")[0] for n in (1, 2)]
+        start = [board.read_words(f"axis{n}.position")[0] for n in (1, 2)]
         board.write("param.features", [0x4F, 0x4F])
         for n, turns in ((1, 4), (2, -3)):
-            raw = board.read_raw("cmd.position")
+            raw = board.read_words("cmd.position")
             raw[n - 1] = start[n - 1] + 4000 * turns
             board.write_raw("cmd.position", raw)
         log = board.record(board.time_ns + 400_000_000)
@@ -153,13 +153,13 @@ def test_servo_restarts_after_a_watchdog_reset(holding: Board) -> None:
     holding.run(0.1)
     assert holding.peek(0xE401) & COP_RESET
     watchdog = holding.catalogue.flag("faults", "WATCHDOG").mask
-    assert [holding.read_raw(f"axis{n}.faults") for n in (1, 2)] == [[watchdog], [watchdog]]
+    assert [holding.read_words(f"axis{n}.faults") for n in (1, 2)] == [[watchdog], [watchdog]]
     assert holding.peek(0xE6C0) == holding.peek(0xE7C0) == 0  # outputs off
     holding.write("cmd.clear_faults", [1, 1])
     holding.run(0.05)
     assert [holding.read(f"axis{n}.state") for n in (1, 2)] == [STOP, STOP]
     enable(holding)
-    start = holding.read_raw("axis1.position")[0]
-    holding.write_raw("cmd.position", [start + 1000, holding.read_raw("axis2.position")[0]])
+    start = holding.read_words("axis1.position")[0]
+    holding.write_raw("cmd.position", [start + 1000, holding.read_words("axis2.position")[0]])
     holding.run(0.4)
-    assert abs(holding.read_raw("axis1.position")[0] - start - 1000) <= 4
+    assert abs(holding.read_words("axis1.position")[0] - start - 1000) <= 4

@@ -48,7 +48,7 @@ def faults(board: Board, axis: int = 0) -> list[str]:
 def until(board: Board, substate: int, seconds: float, axis: int = 0) -> float:
     """Time until an axis is in a sub-state of RUN [s]."""
     start = board.time_ns
-    while board.read_raw(f"axis{axis + 1}.substate")[0] != substate:
+    while board.read_words(f"axis{axis + 1}.substate")[0] != substate:
         assert board.time_ns - start < seconds * 1e9, f"not within {seconds} s; faults {faults(board, axis)}"
         board.advance(board.time_ns + TICK_NS)
     return (board.time_ns - start) * 1e-9
@@ -104,7 +104,7 @@ def test_flying_start_of_a_turning_shaft(speed: float) -> None:
         set_axis(board, "cmd.speed", 0, speed)
         until(board, STARTUP, 0.1)
         before, peak = board.truth(0).omega_m, 0.0
-        while board.read_raw("axis1.substate")[0] == STARTUP:
+        while board.read_words("axis1.substate")[0] == STARTUP:
             board.run(62.5e-6)
             truth = board.truth(0)
             peak = max(peak, math.hypot(truth.i_d, truth.i_q))
@@ -128,10 +128,10 @@ def test_no_ripple_without_load() -> None:
 
 
 def test_position_counts_what_the_shaft_turns(running: Board) -> None:
-    start, counts = running.truth(0).theta_m, running.read_raw("axis1.position")[0]
+    start, counts = running.truth(0).theta_m, running.read_words("axis1.position")[0]
     running.run(1.0)
     rotation = (running.truth(0).theta_m - start) / (2.0 * math.pi) * 4000
-    assert running.read_raw("axis1.position")[0] - counts == pytest.approx(rotation, abs=30)
+    assert running.read_words("axis1.position")[0] - counts == pytest.approx(rotation, abs=30)
 
 
 def test_reversal_goes_through_a_new_start(running: Board) -> None:
@@ -150,20 +150,20 @@ def test_torque_mode_starts_only_with_a_turning_shaft(running: Board) -> None:
     log = running.si(running.record(running.time_ns + 10_000_000))
     assert log["axis1.i_q"].mean() == pytest.approx(0.3, abs=0.02)
     assert running.truth(0).omega_m > 140.0
-    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS == 0
+    assert running.read_words("axis1.limits")[0] & LIMIT_SENSORLESS == 0
     set_axis(running, "cmd.i_q", 0, -0.3)
     until(running, READY, 0.5)
     set_axis(running, "cmd.i_q", 0, 0.5)
     running.run(0.3)
-    assert running.read_raw("axis1.substate")[0] == READY
-    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS
+    assert running.read_words("axis1.substate")[0] == READY
+    assert running.read_words("axis1.limits")[0] & LIMIT_SENSORLESS
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
 
 
 def test_disable_ramps_down_and_switches_off(running: Board) -> None:
     set_axis(running, "cmd.enable", 0, 0)
     running.run(0.2)
-    assert running.read_raw("axis1.state")[0] == STOP
+    assert running.read_words("axis1.state")[0] == STOP
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=1.0)
 
 

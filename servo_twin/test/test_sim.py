@@ -92,7 +92,7 @@ def test_a_locked_shaft_is_reported() -> None:
 def test_only_the_named_axis_moves() -> None:
     with Board(seed=7) as board:
         enable(board)
-        before = board.read_raw("axis1.position")[0]
+        before = board.read_words("axis1.position")[0]
         results, log = move(board, {1: turns(-2.0)}, 0.8)
         assert [r.axis for r in results] == ["axis2"]
         assert abs(results[0].reached + 8000) <= 2

@@ -76,7 +76,7 @@ def test_slipping_disc_changes_the_count_without_motion(counts: int) -> None:
     """Also across the compare values of the counter."""
     with Board(seed=1) as board:
         board.run(0.05)
-        before, angle = board.read_raw("axis2.position")[0], board.truth(1).theta_m
+        before, angle = board.read_words("axis2.position")[0], board.truth(1).theta_m
         for part in (
             counts // 3,
             counts // 3,
@@ -85,7 +85,7 @@ def test_slipping_disc_changes_the_count_without_motion(counts: int) -> None:
             for piece in (part // 2, part - part // 2):
                 board.inject(SlippedEncoder(1, piece))
                 board.run(0.002)
-        assert board.read_raw("axis2.position")[0] - before == counts
+        assert board.read_words("axis2.position")[0] - before == counts
         assert board.truth(1).theta_m == angle
         assert faults(board, 1) == set()
 

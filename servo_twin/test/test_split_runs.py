@@ -81,7 +81,7 @@ RUNS: Final[dict[str, list[Input]]] = {
 
 def state(board: Board) -> list[Any]:
     """All readable values of a board."""
-    values = [board.read_raw(name) for name in board.catalogue.variables]
+    values = [board.read_words(name) for name in board.catalogue.variables]
     return [board.time_ns, values, [board.truth(axis) for axis in range(AXES)], astuple(board.stats())]
 
 

@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_msgs_py.board_parameters import parameters
-from servo_msgs_py.board_storage import Kind, Storage, begin_request, read_storage, request_result
+from servo_msgs_py.board_storage import begin_request, execute_request, read_storage, request_result
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_twin.board import Board
-from servo_twin.lockstep.replica import Replica
 
 pytestmark = pytest.mark.usefixtures("level")
 
@@ -29,7 +28,6 @@ class Kept:
 
     def __init__(self, flash: bytes | None = None, seed: int = 0) -> None:
         self.board = Board(seed=seed, flash=flash)
-        self.memory = Replica(self.board)
         self.run(0.06)
 
     def __enter__(self) -> Kept:
@@ -41,28 +39,15 @@ class Kept:
     def run(self, seconds: float) -> None:
         self.board.run(seconds)
 
-    def wait(self) -> bool:
-        self.run(0.001)
-        return True
-
     def values(self) -> Values:
-        named = tuple(tuple(self.memory.read_words(v.name)) for v in parameters(CATALOGUE))
-        return (*named, *(tuple(read_block(self.memory, axis).values()) for axis in range(AXES)))
+        named = tuple(tuple(self.board.read_words(v.name)) for v in parameters(CATALOGUE))
+        return (*named, *(tuple(read_block(self.board, axis).values()) for axis in range(AXES)))
 
     def change(self, number: int) -> None:
         """Change a parameter and a member of the configuration."""
         self.board.write("param.speed_limit", [100.0 + number, 90.0])
-        block = read_block(self.memory, 1)
-        send_block(self.memory, 1, {**block, "position_gain": block["position_gain"] + number})
-        take_blocks(self.memory, [1], self.wait)
-
-    def execute_request(self, kind: Kind) -> Storage:
-        token = begin_request(self.memory, kind)
-        for _ in range(1000):
-            if (result := request_result(self.memory, token)) is not None:
-                return result
-            self.run(0.0005)
-        raise AssertionError("the request never ends")
+        block = read_block(self.board, 1)
+        send_configuration(self.board, {1: {**block, "position_gain": block["position_gain"] + number}})
 
 
 @pytest.fixture
@@ -75,7 +60,7 @@ def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
     """At random instants of random commands, and at the instants before and after the seal."""
     random = np.random.default_rng(1)
     kept.change(1)
-    kept.execute_request("SAVE")
+    execute_request(kept.board, "SAVE")
     before = kept.values()
     kept.change(2)
     after = kept.values()
@@ -89,14 +74,14 @@ def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
             board.change(2)
             assert board.values() == after
             board.board.cut_flash(number, part)
-            begin_request(board.memory, "SAVE")
+            begin_request(board.board, "SAVE")
             board.run(0.1)
             assert board.board.flash_state().dead
             flash_after = board.board.flash_image()
         with Kept(flash_after) as board:
             assert board.values() in (before, after), (number, part)
             seen.append(board.values() == after)
-            state = read_storage(board.memory)
+            state = read_storage(board.board)
             assert state.source == ("COPY_B" if seen[-1] else "COPY_A")
             assert bool(state.trouble) == (state.copies[1] == "DAMAGED")
     assert seen[-1], "the seal is complete"
@@ -107,19 +92,19 @@ def test_a_power_failure_at_any_instant_ends_the_flash_command(kept: Kept) -> No
     random = np.random.default_rng(2)
     for _ in range(12):
         with Kept() as board:
-            begin_request(board.memory, "SAVE")
+            begin_request(board.board, "SAVE")
             board.run(float(random.uniform(0.0, 0.05)))
             flash_after = board.board.cut_power()
             assert board.board.flash_image() == flash_after
             board.run(0.1)
             assert board.board.flash_image() == flash_after, "power is off"
         with Kept(flash_after) as board:
-            assert read_storage(board.memory).source == "BUILT_IN"
+            assert read_storage(board.board).source == "BUILT_IN"
 
 
 def test_loops_run_during_a_flash_command(kept: Kept) -> None:
     """The axes are enabled during the flash command."""
-    token = begin_request(kept.memory, "SAVE")
+    token = begin_request(kept.board, "SAVE")
     kept.run(0.02)
     kept.board.write("cmd.enable", [1, 1])
     rows = kept.board.record(kept.board.time_ns + 30_000_000)
@@ -127,7 +112,7 @@ def test_loops_run_during_a_flash_command(kept: Kept) -> None:
     assert kept.board.read("late_loops") == 0
     assert [kept.board.read(f"axis{n}.state") for n in (1, 2)] == [CATALOGUE.enums["state_t"]["RUN"]] * 2
     with pytest.raises(ValueError, match="moving or enabled"):
-        request_result(kept.memory, token)
+        request_result(kept.board, token)
 
 
 def test_an_image_of_another_size_is_refused() -> None:

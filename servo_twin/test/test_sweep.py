@@ -179,8 +179,8 @@ def test_boards_get_configuration_and_parameters() -> None:
     )
     with at_level("ideal"):
         with Board(PLANT, level="ideal") as plain, prepared(variant.prepare), fresh_board(PLANT, 1) as board:
-            assert board.read_raw("config.checksum")[0] != plain.read_raw("config.checksum")[0]
-            assert board.read_raw("config.checksum")[1] == plain.read_raw("config.checksum")[1]
+            assert board.read_words("config.checksum")[0] != plain.read_words("config.checksum")[0]
+            assert board.read_words("config.checksum")[1] == plain.read_words("config.checksum")[1]
             assert board.read("param.i_q_limit") == pytest.approx([4.0, 1.5], abs=1e-3)
         with fresh_board(PLANT, 1) as board:
             assert board.read("param.i_q_limit") == pytest.approx([4.0, 4.0], abs=1e-3)

@@ -203,7 +203,7 @@ class TestConfiguration:
             rig.run(0.3)
             rig.tune({1: self.other_gains(rig, 1)})
             rig.run(0.3)
-            assert rig.board.read_raw("config.taken_count") == [2]
+            assert rig.board.read_words("config.taken_count") == [2]
             assert rig.twin.synchronisations == 1
             for pair in rig.pairs:
                 for name, value in pair.twin.items():
@@ -256,7 +256,7 @@ class TestConfiguration:
             assert rig.board.read("param.speed_limit") == pytest.approx([90.0, 80.0])
             rig.sample()
             rig.run(told_after)
-            rig.twin.set_parameters({v.name: rig.board.read_raw(v.name) for v in parameters(CATALOGUE)})
+            rig.twin.set_parameters({v.name: rig.board.read_words(v.name) for v in parameters(CATALOGUE)})
             rig.twin.set_blocks(blocks)
             rig.enable_axes()
             moving = rig.move([40.0, -40.0])

@@ -108,7 +108,7 @@ class TwinRig:
 
     def set_parameters(self, *texts: str, report: bool = True) -> None:
         """Set parameters of the real board, as ``NAME=VALUE``, and report all its parameters to the twin."""
-        present = {v.name: self.board.read_raw(v.name) for v in parameters(CATALOGUE)}
+        present = {v.name: self.board.read_words(v.name) for v in parameters(CATALOGUE)}
         for name, raw in applied([parse(text, CATALOGUE) for text in texts], present).items():
             self.board.write_raw(name, raw)
             present[name] = raw

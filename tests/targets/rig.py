@@ -94,6 +94,11 @@ class Rig:
         axes = "; ".join(f"axis{k + 1} {state} {self.faults(k)}" for k, state in enumerate(self.states()))
         raise RigError(f"not within {within:g} s: {what}; {axes}")
 
+    @property
+    def now(self) -> float:
+        """Simulated time [s]."""
+        return self._now_ns() * 1e-9
+
     def _now_ns(self) -> int:
         return int(self._lib.board_time_ns(self._board))
 

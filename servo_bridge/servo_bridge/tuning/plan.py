@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from servo_msgs_py.axis_config import AxisConfigTable, Member
-from servo_msgs_py.axis_config_transfer import BlockMemory, read_block, send_block
+from servo_msgs_py.axis_config_transfer import read_block, send_block
+from servo_msgs_py.board_port import BoardWords
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.table_text import aligned
 from servo_tuning.board_file import blocks_of
@@ -45,7 +46,7 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
     return Computed([report.tuned.block for report in reports], [report.findings for report in reports])
 
 
-def read_blocks(memory: BlockMemory, axes: Collection[int] = range(AXES)) -> dict[int, Block]:
+def read_blocks(memory: BoardWords, axes: Collection[int] = range(AXES)) -> dict[int, Block]:
     """Read the present blocks of a board, by index of the axis."""
     return {axis: read_block(memory, axis) for axis in axes}
 
@@ -73,7 +74,7 @@ class Plan:
         """Names of the changed axes, for messages."""
         return " and ".join(map(axis_name, self.changes))
 
-    def send(self, memory: BlockMemory) -> None:
+    def send(self, memory: BoardWords) -> None:
         """Write the new blocks to the board, where they are stored until they are applied."""
         for axis, (_, new) in self.changes.items():
             send_block(memory, axis, new)

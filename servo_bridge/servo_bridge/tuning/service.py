@@ -30,11 +30,11 @@ from servo_bridge.board_context import BoardContext
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import Block, Plan, read_blocks
 from servo_bridge.tuning.process import TuningProcess
 from servo_bridge.wire.link_queue import LinkDownError
 from servo_bridge.wire.session import Call
+from servo_bridge.wire.session_port import SessionPort
 from servo_msgs_py import topics
 
 _TIMEOUT: Final = 10.0
@@ -42,16 +42,16 @@ _TIMEOUT: Final = 10.0
 
 
 class _LinkMemory:
-    """`servo_msgs_py.axis_config_transfer.BlockMemory` with one job of the link per access."""
+    """`servo_msgs_py.board_port.BoardWords` with one job of the link per access."""
 
     def __init__(self, call: Call) -> None:
         self._call = call
 
     def read_words(self, name: str) -> list[int]:
-        return self._call(lambda session: BlockSession(session).read_words(name)).result(_TIMEOUT)
+        return self._call(lambda session: SessionPort(session).read_words(name)).result(_TIMEOUT)
 
-    def write_words(self, name: str, words: Sequence[int]) -> bool:
-        return self._call(lambda session: BlockSession(session).write_words(name, words)).result(_TIMEOUT)
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        return self._call(lambda session: SessionPort(session).write_words(name, words, first)).result(_TIMEOUT)
 
 
 class TuningService:

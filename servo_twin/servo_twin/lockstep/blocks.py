@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from typing import Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.axis_config_transfer import send_block, take_blocks
+from servo_msgs_py.axis_config_transfer import send_block, send_configuration
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.convert import AppliedCommand
-from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_twin.lockstep.replica import Replica
 
@@ -57,12 +56,5 @@ def write_blocks(replica: Replica, blocks: Blocks) -> None:
     """
     table, in_force = AxisConfigTable.load(), replica.read_words("config.checksum")
     others = [axis for axis, checksum in checksums_of(blocks).items() if checksum != in_force[axis]]
-    for axis in others:
-        send_block(replica, axis, table.block(blocks[axis]))
     if others:
-        take_blocks(replica, others, lambda: _tick(replica))
-
-
-def _tick(replica: Replica) -> bool:
-    replica.run_to(replica.tick + SLOW_PERIODS)
-    return True
+        send_configuration(replica, {axis: table.block(blocks[axis]) for axis in others})

@@ -14,11 +14,9 @@ from servo_msgs_py.convert import state_label
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
-from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.samples import expired_mask
 
 _WRAP: Final = 1 << 32
-_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status: value outside the range of the variable
 
 
 def slow_tick(tick: int) -> int:
@@ -37,7 +35,7 @@ class Replica:
 
     def __init__(self, board: Board) -> None:
         self.board = board
-        self._catalogue = board.catalogue
+        self.catalogue = board.catalogue
         self._expired = expired_mask(board.catalogue)
         self.tick = 0  # last completed slow tick [PWM periods since reset]
         self.raw: Mapping[str, int] = {}  # raw snapshot of `tick`, by variable name; empty before the first
@@ -92,8 +90,8 @@ class Replica:
         mask : int
             Bit per axis; bit 0 is axis 1. Other axes are not written, because a write restarts the command timeout.
         """
-        size = self._catalogue[variable].element_size
-        data = self._catalogue[variable].encode_raw(raw)
+        size = self.catalogue[variable].element_size
+        data = self.catalogue[variable].encode_raw(raw)
         address = self.board.address(variable)
         for axis in range(AXES):
             if mask >> axis & 1:
@@ -101,28 +99,30 @@ class Replica:
 
     def write_first(self, variable: str, raw: Sequence[int]) -> None:
         """Write the first elements of a variable in one access."""
-        self.board.write_memory(self.board.address(variable), self._catalogue[variable].pack(raw))
+        self.board.write_memory(self.board.address(variable), self.catalogue[variable].pack(raw))
 
     def read_words(self, name: str) -> list[int]:
         """Firmware integers of any variable, one per element."""
-        return self.board.read_raw(name)
+        return self.board.read_words(name)
 
-    def write_words(self, name: str, words: Sequence[int]) -> bool:
-        """Write the first elements of a variable in one access; False if the board refuses a value as out of range."""
-        try:
-            self.board.write_memory(self.board.address(name), self._catalogue[name].pack(words))
-        except BoardError as error:
-            if error.status != _OUT_OF_RANGE:
-                raise
-            return False
-        return True
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        """Write elements of a variable in one access; False if the board refuses a value as out of range."""
+        return self.board.write_words(name, words, first)
+
+    def clock(self) -> float:
+        """Time of the last completed slow tick [s]."""
+        return self.tick * PERIOD_NS * 1e-9
+
+    def wait(self, seconds: float) -> None:
+        """Run at least for `seconds` [s], to the end of a slow tick."""
+        self.run_to(slow_tick(self.tick - (-round(seconds * 1e9) // PERIOD_NS) + SLOW_PERIODS - 1))
 
     def label(self, axis: int) -> str:
         """State of an axis, such as ``STOP`` or ``RUN/SPIN``."""
         if not self.raw:
             return "INIT"
         prefix = axis_name(axis)
-        return state_label(self._catalogue, self.raw[f"{prefix}.state"], self.raw[f"{prefix}.substate"])
+        return state_label(self.catalogue, self.raw[f"{prefix}.state"], self.raw[f"{prefix}.substate"])
 
     def expired(self, axis: int) -> bool:
         """True if an axis has stopped after the timeout of its set-point."""

@@ -22,7 +22,7 @@ def _shorten_homing(rig: Rig) -> None:
     for axis in (0, 1):
         block = read_block(blocks, axis)
         send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in _FASTER.items()})
-    take_blocks(blocks, [0, 1], blocks.wait)
+    take_blocks(blocks, [0, 1])
 
 
 def _home(rig: Rig, first: str, second: str = "NONE") -> None:

@@ -37,7 +37,7 @@ def _fit(rig: Rig) -> None:
         send_block(
             blocks, axis, {**block, **fitted, "rotor_search.current_step": 4 * block["rotor_search.current_step"]}
         )
-    take_blocks(blocks, [0, 1], blocks.wait)
+    take_blocks(blocks, [0, 1])
     rig.run(0.005)
 
 

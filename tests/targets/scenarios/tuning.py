@@ -18,15 +18,16 @@ _TABLE: Final = AxisConfigTable.load()
 
 
 class Blocks:
-    """`BlockMemory` of a rig: writes use the serial line, reads do not."""
+    """Port to the board of a rig: writes use the serial line, reads do not."""
 
     def __init__(self, rig: Rig) -> None:
-        self._rig = rig
+        self._rig, self.catalogue = rig, rig.catalogue
 
     def read_words(self, name: str) -> list[int]:
         return self._rig.raw(name)
 
-    def write_words(self, name: str, words: Sequence[int]) -> bool:
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        assert first == 0
         self._rig.request(commands.write_memory(self._rig.address(name), self._rig.catalogue[name].pack(words)))
         return self.read_words("config.refusal") == [0]
 
@@ -37,12 +38,11 @@ class Blocks:
             frames += commands.write_memory(self._rig.address(name), self._rig.catalogue[name].pack(words)).frame
         self._rig.send(frames)
 
-    def pause(self, seconds: float) -> None:
-        self._rig.run(seconds)
+    def clock(self) -> float:
+        return self._rig.now
 
-    def wait(self) -> bool:
-        self._rig.run(0.001)
-        return True
+    def wait(self, seconds: float) -> None:
+        self._rig.run(seconds)
 
 
 def _take(blocks: Blocks, changed: dict[int, dict[str, float]]) -> None:
@@ -50,7 +50,7 @@ def _take(blocks: Blocks, changed: dict[int, dict[str, float]]) -> None:
     for axis, factors in changed.items():
         block = read_block(blocks, axis)
         send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in factors.items()})
-    take_blocks(blocks, list(changed), blocks.wait)
+    take_blocks(blocks, list(changed))
 
 
 def tuning(rig: Rig) -> None:
@@ -63,9 +63,9 @@ def tuning(rig: Rig) -> None:
     _take(blocks, {0: dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit"), 1.1)})
     block = read_block(blocks, 1)
     send_block(blocks, 1, block | {"feedback": 1})
-    take_blocks(blocks, [1], blocks.wait)
+    take_blocks(blocks, [1])
     send_block(blocks, 1, block)
-    take_blocks(blocks, [1], blocks.wait)
+    take_blocks(blocks, [1])
 
     _refusals(blocks, block)
     rig.set("param.features", features("FRICTION", "SPEED_OBSERVER", "ACCELERATION_FORWARD"), features("ANGLE_CHECK"))
@@ -128,10 +128,10 @@ def _refusals(blocks: Blocks, block: dict[str, int]) -> None:
     for busy in (("config.take", [2]), ("config.window", [1, 0, 1, words[0]]), ("config.header", header)):
         for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # one of them is early in a slow tick
             send_block(blocks, 1, block)
-            blocks.pause(later)
+            blocks.wait(later)
             # A request that arrives before the answer to the previous one is lost: the second one.
             blocks.together(("config.take", [2]), ("config.take", [2]), busy)
-            blocks.wait()
+            blocks.wait(0.001)
 
 
 def measured(rig: Rig) -> None:
@@ -173,8 +173,8 @@ def measured(rig: Rig) -> None:
     block = read_block(blocks, 1)
     for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # as in `_refusals`
         send_block(blocks, 1, block)
-        blocks.pause(later)
+        blocks.wait(later)
         blocks.together(("config.take", [2]), ("config.take", [2]), ("measurement.axis", [2]))
-        blocks.wait()
+        blocks.wait(0.001)
         rig.set_raw("measurement.axis", 0)
         restored()

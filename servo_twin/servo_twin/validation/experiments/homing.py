@@ -16,7 +16,6 @@ from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
@@ -80,7 +79,7 @@ class Settings:
     @classmethod
     def of(cls, board: Board) -> Settings:
         """Settings of axis 1; axis 2 has the same."""
-        block, members = read_block(Replica(board), 0), AxisConfigTable.load().members
+        block, members = read_block(board, 0), AxisConfigTable.load().members
         return cls(*(block[f"home.{name}"] * members[f"home.{name}"].lsb for name in cls.__dataclass_fields__))
 
 

@@ -291,7 +291,7 @@ def _planned(configuration: Configuration) -> float:
 
 
 def _moves(board: Board, seconds: float) -> Sequence[Any]:
-    position = [board.read_raw(f"{name}.position")[0] for name in AXIS_NAMES]
+    position = [board.read_words(f"{name}.position")[0] for name in AXIS_NAMES]
     counts = round(MOVE / (2.0 * math.pi) * COUNTS_PER_TURN)
     targets = {0: position[0] + counts, 1: position[1] - counts}
     results, log = move(board, targets, seconds, TOLERANCE)

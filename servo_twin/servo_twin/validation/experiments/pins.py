@@ -10,13 +10,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
 from servo_twin.fault_injection import CutWire, Pin
-from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
@@ -54,21 +53,13 @@ LAG: Final = 0.004  # lag of the speed loop behind the ramp [s]
 
 def fit(board: Board, *pins: Pin) -> None:
     """Configure the pins of both axes of a board at standstill."""
-
-    def wait() -> bool:
-        board.run(TICK)
-        return True
-
-    replica = Replica(board)
     flags = {flag.name.lower(): flag.mask for flag in board.catalogue.flags["inputs"]}
     changed = {
         "pins.fitted": sum(flags["brake_open" if pin == "brake" else pin] for pin in pins),
         "pins.open_ticks": round(OPEN_NOMINAL / TICK),
         "pins.close_ticks": round(CLOSE_NOMINAL / TICK),
     }
-    for axis in range(AXES):
-        send_block(replica, axis, {**read_block(replica, axis), **changed})
-    take_blocks(replica, range(AXES), wait)
+    send_configuration(board, {axis: {**read_block(board, axis), **changed} for axis in range(AXES)})
     board.run(10.0 * TICK)
 
 

@@ -214,7 +214,7 @@ def get_axis(board: Board, name: str, axis: int) -> float:
 def features(board: Board, axis: int, **switches: bool) -> None:
     """Switch features on or off by name, e.g. ``ANTI_WINDUP=False``."""
     masks = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
-    word = board.read_raw("param.features")[axis]
+    word = board.read_words("param.features")[axis]
     for name, on in switches.items():
         word = word | masks[name] if on else word & ~masks[name]
     _write_element(board, "param.features", axis, word)
@@ -279,7 +279,7 @@ def at(events: Mapping[float, Callable[[], object]]) -> Callable[[int], None]:
 
 def word(board: Board, axis: int, name: str) -> int:
     """Raw value of a variable of an axis."""
-    return board.read_raw(f"{axis_name(axis)}.{name}")[0]
+    return board.read_words(f"{axis_name(axis)}.{name}")[0]
 
 
 def flags_of(board: Board, axis: int, name: str) -> set[str]:

@@ -54,7 +54,7 @@ def substate(board: Board, name: str) -> int:
 
 def without_fault(board: Board, axis: int, name: str) -> None:
     """Disable a fault of an axis."""
-    words = board.read_raw("param.faults_enabled")
+    words = board.read_words("param.faults_enabled")
     words[axis] &= ~board.catalogue.flag("faults", name).mask
     board.write_raw("param.faults_enabled", words)
 

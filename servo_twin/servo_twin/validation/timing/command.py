@@ -79,7 +79,7 @@ def record(
         scenario.during(board)
         periods = round(scenario.seconds * 1e9 / PERIOD_NS)
         trace = ChipTrace(board.trace(board.time_ns + periods * PERIOD_NS, ENTRIES * periods))
-        late, overruns = (int(board.read_raw(name)[0]) for name in ("late_loops", "receiver_overruns"))
+        late, overruns = (int(board.read_words(name)[0]) for name in ("late_loops", "receiver_overruns"))
     starts = boot.clocks(Kind.ENTER, VECTOR_M1)
     return Measured(boot, trace, int(starts[0]) if starts.size else 0, late, overruns)
 

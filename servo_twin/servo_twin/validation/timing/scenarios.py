@@ -56,7 +56,7 @@ def _moving(every: bool, mode: str, value: float, settle: float = 0.3) -> Callab
         signs = [value, -value]
         if mode == "POSITION":
             lsb = board.catalogue["cmd.position"].lsb
-            at = [lsb * board.read_raw(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
+            at = [lsb * board.read_words(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
             board.write("cmd.position", [now + sign for now, sign in zip(at, signs, strict=True)])
             settle_for = 0.02
         else:
@@ -75,9 +75,9 @@ def _following(every: bool) -> Callable[[Board], None]:
         enable(board)
         _mode(board, "TRAJECTORY")
         board.run(0.002)
-        start, omega = board.read_raw("tick")[0] + 800, 2.0 * _TURN
+        start, omega = board.read_words("tick")[0] + 800, 2.0 * _TURN
         lsb = board.catalogue["cmd.position"].lsb
-        at = [lsb * board.read_raw(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
+        at = [lsb * board.read_words(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
         for first in range(0, _AHEAD, POINTS_PER_WRITE // AXES):
             points = []
             for k in range(first, first + POINTS_PER_WRITE // AXES):
