@@ -3,7 +3,7 @@
 #define MIDDLE UINT16_C(0x8000)
 #define PER_AXIS (MONITOR_AXIS2_I_D - MONITOR_AXIS1_I_D) /* same order of quantities for both axes */
 
-bool analog_out_selected(const board_settings_t *settings)
+bool analog_out_selected(const board_parameters_t *settings)
 {
     bool requested = false;
     for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
@@ -46,7 +46,7 @@ static int16_t value_of(const axis_t *axes, uint16_t which)
     return 0;
 }
 
-void analog_out_step(const board_settings_t *settings, const axis_t *axes, hal_t *hal, int16_t *shown)
+void analog_out_step(const board_parameters_t *settings, const axis_t *axes, hal_t *hal, int16_t *shown)
 {
     for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         const int16_t value = value_of(axes, settings->monitor[i]);

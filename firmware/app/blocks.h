@@ -1,7 +1,8 @@
-/* blocks.h - memory shared with the host: telemetry, commands, parameters (servo_msgs_py/variables.toml). */
+/* blocks.h - memory shared with the host: telemetry and commands (servo_msgs_py/variables.toml). */
 #ifndef SERVO_APP_BLOCKS_H
 #define SERVO_APP_BLOCKS_H
 
+#include "config/parameters_gen.h"
 #include "diagnosis/fault_latch.h"
 #include "hal/hal.h"
 #include "math/frac.h"
@@ -43,27 +44,6 @@ typedef struct {
     uint16_t point_refusal; /* point_refusal_t of the last refused write */
     axis_snapshot_t axis[HAL_AXES];
 } snapshot_t;
-
-/* Written by the host; default values from the configuration. */
-typedef struct {
-    frac32_t speed_limit[HAL_AXES]; /* Q1.31 of full-scale speed */
-    frac32_t acceleration_limit[HAL_AXES]; /* Q1.31 of full-scale speed, per slow tick */
-    frac16_t i_q_limit[HAL_AXES]; /* Q1.15 of full-scale current */
-    uint16_t features[HAL_AXES];        /* FEATURE_ bits */
-    uint16_t feedback[HAL_AXES];        /* feedback_kind_t */
-    uint16_t on_disable[HAL_AXES];      /* stop_category_t */
-    uint16_t on_quick_stop[HAL_AXES];   /* stop_category_t */
-    int32_t position_min[HAL_AXES];     /* counts */
-    int32_t position_max[HAL_AXES];     /* counts */
-    int32_t following_error[HAL_AXES];  /* counts */
-    frac32_t over_speed[HAL_AXES]; /* Q1.31 of full-scale speed */
-    fault_set_t faults_enabled[HAL_AXES];
-    uint16_t monitor[HAL_ANALOG_OUTS];     /* monitor_t */
-    uint16_t host_timeout; /* slow ticks */
-    uint16_t command_timeout; /* slow ticks; 0: set-points do not expire */
-    uint16_t brake;        /* 1: brake resistor fitted */
-    uint16_t unused; /* padding: equal size on all processors */
-} parameter_block_t;
 
 #define POINTS_TOGETHER 8 /* largest number of timed points in one write */
 #define POINT_WORDS 4

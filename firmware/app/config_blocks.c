@@ -221,32 +221,6 @@ static bool may_take(const config_blocks_t *blocks, config_status_t *status, con
     return true;
 }
 
-/* A parameter follows its default when the default changes. */
-#define RENEW(parameter_element, member)                                                                               \
-    do {                                                                                                               \
-        if (before->member != after->member) {                                                                         \
-            (parameter_element) = after->member;                                                                       \
-        }                                                                                                              \
-    } while (0)
-
-static void renew_parameters(parameter_block_t *parameter, uint16_t i, const axis_config_t *before,
-                             const axis_config_t *after)
-{
-    RENEW(parameter->speed_limit[i], speed_limit);
-    RENEW(parameter->acceleration_limit[i], acceleration_limit);
-    RENEW(parameter->i_q_limit[i], i_q_limit);
-    RENEW(parameter->features[i], features);
-    RENEW(parameter->feedback[i], feedback);
-    RENEW(parameter->on_disable[i], stop.disable);
-    RENEW(parameter->on_quick_stop[i], stop.quick_stop);
-    RENEW(parameter->following_error[i], following_error);
-    RENEW(parameter->over_speed[i], over_speed);
-    if (before->position_limit != after->position_limit) {
-        parameter->position_min[i] = -after->position_limit;
-        parameter->position_max[i] = after->position_limit;
-    }
-}
-
 bool config_blocks_latch(config_blocks_t *blocks, config_status_t *status, parameter_block_t *parameter,
                          nominal_block_t *nominal, axis_t *axes)
 {
@@ -258,7 +232,7 @@ bool config_blocks_latch(config_blocks_t *blocks, config_status_t *status, param
         const axis_config_t *before = config_blocks_in_force(blocks, i);
         const axis_config_t *after = spare(blocks, i);
         axis_take_config(&axes[i], after);
-        renew_parameters(parameter, i, before, after);
+        parameters_renew(parameter, i, before, after);
         nominal->torque_constant[i] = after->torque_constant;
         nominal->acceleration_current[i] = after->acceleration_forward;
         blocks->in_force[i] = (uint16_t)(1U - blocks->in_force[i]);

@@ -104,36 +104,22 @@ static uint16_t deferred(const axis_t *axis, const command_block_t *block, uint1
     return (opening && requested && !stopped) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
 }
 
-static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
+static void apply_parameters(const parameter_block_t *block, axis_t *axis)
 {
-    const uint16_t i = axis->index;
-    const bool confined = (parameter->features[i] & FEATURE_POSITION_LIMITS) != 0U;
-    axis->features = parameter->features[i];
+    axis_parameters_t *parameter = &axis->parameter;
+    parameters_of_axis(parameter, block, axis->index);
+    const bool confined = (parameter->features & FEATURE_POSITION_LIMITS) != 0U;
     axis->written_limits = (axis_limits_t){
-        parameter->speed_limit[i],
-        parameter->acceleration_limit[i],
-        parameter->i_q_limit[i],
-        confined ? parameter->position_min[i] : INT32_MIN,
-        confined ? parameter->position_max[i] : INT32_MAX,
+        parameter->speed_limit,
+        parameter->acceleration_limit,
+        parameter->i_q_limit,
+        confined ? parameter->position_min : INT32_MIN,
+        confined ? parameter->position_max : INT32_MAX,
     };
     homing_confine(axis, &axis->written_limits);
     axis->limits_fresh = true;
-    axis->following_error_max = parameter->following_error[i];
-    axis->over_speed_max = parameter->over_speed[i];
-    axis->command_timeout = parameter->command_timeout;
-    axis->feedback_requested = parameter->feedback[i];
-    axis->on_disable = (stop_category_t)parameter->on_disable[i];
-    axis->on_quick_stop = (stop_category_t)parameter->on_quick_stop[i];
-    axis->latch.enabled = parameter->faults_enabled[i] | FAULTS_ALWAYS;
-}
-
-void latch_board(const parameter_block_t *parameter, board_settings_t *settings)
-{
-    settings->host_timeout = parameter->host_timeout;
-    settings->brake_resistor_fitted = parameter->brake == 1U;
-    for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
-        settings->monitor[i] = parameter->monitor[i];
-    }
+    axis->command_timeout = block->command_timeout;
+    axis->latch.enabled = parameter->faults_enabled | FAULTS_ALWAYS;
 }
 
 bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_block_t *parameter, axis_t *axes)
@@ -153,10 +139,10 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
             axes[i].command.fresh = (uint16_t)(axes[i].command.fresh | FRESH_POINTS);
         }
         if (written.parameters) {
-            apply_parameter(parameter, &axes[i]);
+            apply_parameters(parameter, &axes[i]);
         }
         if (axes[i].home.limits_stale) {
-            apply_parameter(parameter, &axes[i]);
+            apply_parameters(parameter, &axes[i]);
             limits_renew(&axes[i]); /* no command needed: no motion beyond the old limits is in progress */
             axes[i].home.limits_stale = false;
         }

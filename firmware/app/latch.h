@@ -16,13 +16,6 @@ typedef struct {
     bool parameters; /* a parameter was written */
 } latch_marks_t;
 
-/* Latched parameters of the board. */
-typedef struct {
-    uint16_t host_timeout; /* slow ticks */
-    uint16_t monitor[HAL_ANALOG_OUTS]; /* monitor_t */
-    bool brake_resistor_fitted; /* a brake resistor is fitted and used */
-} board_settings_t;
-
 void latch_reset(latch_marks_t *marks);
 
 /* Mark the writes in [offset, offset + size) of the command block. */
@@ -30,8 +23,5 @@ void latch_mark(latch_marks_t *marks, uint16_t offset, uint16_t size);
 
 /* Apply the writes to the axes and clear the marks. True if a command has taken effect. */
 bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_block_t *parameter, axis_t *axes);
-
-/* Latch the parameters of the board. */
-void latch_board(const parameter_block_t *parameter, board_settings_t *settings);
 
 #endif

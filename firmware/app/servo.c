@@ -42,14 +42,14 @@ void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
     servo_restore(servo, config);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *block = config_blocks_in_force(&servo->config_blocks, i);
-        axis_init(&servo->axis[i], block, hal, i, &servo->record[i], &servo->tick);
+        axis_init(&servo->axis[i], block, &servo->parameter, hal, i, &servo->record[i], &servo->tick);
         servo->nominal.torque_constant[i] = block->torque_constant;
         servo->nominal.acceleration_current[i] = block->acceleration_forward;
     }
     for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         servo->monitor[i] = 0;
     }
-    latch_board(&servo->parameter, &servo->settings);
+    parameters_of_board(&servo->settings, &servo->parameter);
     bus_braking_init(&servo->bus_braking);
     servo->tick = 0;
     servo->m2_awaited = false;
@@ -108,7 +108,7 @@ static void latch_commands(servo_t *servo)
         return;
     }
     if (servo->marks.parameters) {
-        latch_board(&servo->parameter, &servo->settings);
+        parameters_of_board(&servo->settings, &servo->parameter);
     }
     if (latch_apply(&servo->marks, &servo->command, &servo->parameter, servo->axis)) {
         note_applied(servo);
@@ -141,8 +141,7 @@ static void supervise_bus(servo_t *servo)
 {
     bus_braking_t *braking = &servo->bus_braking;
     const bool was_on = braking->on;
-    bus_braking_step(braking, &servo->bus_braking_config, servo->settings.brake_resistor_fitted,
-                     servo->axis[MOTOR_1].u_dc);
+    bus_braking_step(braking, &servo->bus_braking_config, servo->settings.brake == 1U, servo->axis[MOTOR_1].u_dc);
     if (braking->on != was_on) {
         hal_brake_resistor(servo->hal, braking->on);
     }

@@ -50,7 +50,7 @@ typedef struct servo {
     config_blocks_t config_blocks;
     storage_t storage;
     measurement_t measurement;
-    board_settings_t settings;
+    board_parameters_t settings; /* parameters of the board in this slow tick */
     bus_braking_t bus_braking;
     bus_braking_config_t bus_braking_config; /* copy in RAM: interrupts must not read constants in the data flash */
     uint32_t tick; /* PWM periods since reset */

@@ -39,7 +39,7 @@ void angle_check_step(axis_t *axis)
 {
     sensorless_estimate_t *estimate = &axis->estimate;
     const int32_t step = pll_step_of(&axis->config->pll, axis->feedback.speed);
-    if ((axis->features & NEEDED) != NEEDED || !axis_observable(axis)) {
+    if ((axis->parameter.features & NEEDED) != NEEDED || !axis_observable(axis)) {
         axis->fast = LOOP_FAST;
         sensorless_estimate_stop(axis);
         return;

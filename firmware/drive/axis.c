@@ -22,8 +22,8 @@
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
 
-void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index, fault_record_t *record,
-               const uint32_t *clock)
+void axis_init(axis_t *axis, const axis_config_t *config, const parameter_block_t *parameter, hal_t *hal,
+               uint16_t index, fault_record_t *record, const uint32_t *clock)
 {
     (void)memset(axis, 0, sizeof *axis);
     fault_latch_init(&axis->latch, record, clock);
@@ -32,27 +32,22 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->hal = hal;
     axis->index = index;
     axis->source = &encoder_feedback;
-    axis->limits.speed = config->speed_limit;
-    axis->limits.acceleration = config->acceleration_limit;
-    axis->limits.i_q = config->i_q_limit;
-    axis->features = config->features;
+    parameters_of_axis(&axis->parameter, parameter, index);
+    axis->limits.speed = axis->parameter.speed_limit;
+    axis->limits.acceleration = axis->parameter.acceleration_limit;
+    axis->limits.i_q = axis->parameter.i_q_limit;
     axis->limits.position_min = INT32_MIN;
     axis->limits.position_max = INT32_MAX;
     axis->written_limits = axis->limits;
     axis->limits_fresh = false;
     axis->path_limits = soft_limits_path(config, &axis->limits, config->path_omega_n_ts);
     winding_protection_init(axis);
-    axis->following_error_max = config->following_error;
-    axis->over_speed_max = config->over_speed;
     axis->regen_derating = FRAC16_MAX;
-    axis->on_disable = (stop_category_t)config->stop.disable;
-    axis->on_quick_stop = (stop_category_t)config->stop.quick_stop;
     current_sense_reset(&axis->sense);
     hal_pwm_enable(hal, index, false);
     hal_adc_select(hal, index, axis->sense.pair);
     axis->motion.position_gain = config->position_gain;
     axis->fast = LOOP_FAST;
-    axis->feedback_requested = config->feedback;
     homing_init(axis);
     axis->source->reset(axis);
     axis_states_init(axis);
@@ -62,7 +57,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
 /* Select the source of angle and speed: not in motion, and no observer without its constants. */
 static void choose_source(axis_t *axis)
 {
-    const bool sensorless = axis->feedback_requested == FEEDBACK_KIND_OBSERVER && axis_observable(axis);
+    const bool sensorless = axis->parameter.feedback == FEEDBACK_KIND_OBSERVER && axis_observable(axis);
     if (sensorless != axis->sensorless && axis->sm.state != STATE_RUN) {
         axis->sensorless = sensorless;
         axis->source = sensorless ? &observer_feedback : &encoder_feedback;
@@ -131,11 +126,12 @@ static void take_requests(axis_t *axis)
         if (command->enable) {
             axis->enable_requested = axis->stop_faults == 0U && inputs_permit(axis);
         } else {
-            stop_begin(axis, axis->on_disable);
+            stop_begin(axis, (stop_category_t)axis->parameter.on_disable);
         }
     }
-    if ((command->fresh & FRESH_QUICK_STOP) != 0U && command->quick_stop && axis->on_quick_stop != STOP_CATEGORY_HOLD) {
-        stop_begin(axis, axis->on_quick_stop);
+    const stop_category_t on_quick_stop = (stop_category_t)axis->parameter.on_quick_stop;
+    if ((command->fresh & FRESH_QUICK_STOP) != 0U && command->quick_stop && on_quick_stop != STOP_CATEGORY_HOLD) {
+        stop_begin(axis, on_quick_stop);
     }
     if ((command->fresh & FRESH_CLEAR_FAULTS) != 0U && axis->sm.state == STATE_FAULT) {
         hal_over_current_clear(axis->hal, axis->index);

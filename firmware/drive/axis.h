@@ -8,9 +8,9 @@
 
 #include "drive/axis_faults.h"
 
-/* Initialise, outputs off. `record` and `clock` must stay valid as long as the axis. */
-void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index, fault_record_t *record,
-               const uint32_t *clock);
+/* Initialise, outputs off. `config`, `record` and `clock` must stay valid as long as the axis. */
+void axis_init(axis_t *axis, const axis_config_t *config, const parameter_block_t *parameter, hal_t *hal,
+               uint16_t index, fault_record_t *record, const uint32_t *clock);
 
 /* Fast loop: every PWM period, after the conversions of this axis. */
 void axis_fast(axis_t *axis);

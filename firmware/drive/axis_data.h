@@ -2,7 +2,7 @@
 #ifndef SERVO_DRIVE_AXIS_DATA_H
 #define SERVO_DRIVE_AXIS_DATA_H
 
-#include "config/axis_config.h"
+#include "config/parameters_gen.h"
 #include "control/field_weakening.h"
 #include "control/path_filter.h"
 #include "diagnosis/diagnosis.h"
@@ -135,17 +135,14 @@ typedef struct axis {
 
     axis_command_t command;
     axis_events_t events;
+    axis_parameters_t parameter; /* the latched parameters */
     axis_limits_t limits; /* limits in force */
     axis_limits_t written_limits; /* last written limits: in force with the next command */
     bool limits_fresh; /* written since the last slow tick: tighter limits take effect with the next one */
     path_limits_t path_limits; /* from `limits` */
     current_max_t current_max; /* from `limits` and the winding model */
-    int32_t following_error_max; /* larger following error: fault; counts */
-    frac32_t over_speed_max; /* higher speed: fault; Q1.31 of full-scale speed */
     uint16_t command_timeout; /* age at which a speed or torque set-point expires, slow ticks; 0: never */
-    uint16_t features; /* FEATURE_ bits of the enabled features */
     bool enable_requested; /* enable was written and not withdrawn since */
-    stop_category_t on_disable, on_quick_stop;
     stop_t stop; /* stop in progress after the enable was withdrawn */
     bool shorted; /* FREEWHEEL with all low sides on */
     fault_set_t stop_faults; /* captured faults whose stop is in progress; state FAULT follows at rest */
@@ -156,7 +153,6 @@ typedef struct axis {
     const feedback_source_t *source;
     encoder_feedback_t encoder;
     observer_feedback_t observed_position;
-    uint16_t feedback_requested; /* feedback_kind_t; takes effect outside RUN */
     bool sensorless; /* the feedback source is the observer */
     sensorless_estimate_t estimate;
     startup_t startup;

@@ -18,12 +18,12 @@ void axis_field_weakening_step(axis_t *axis)
     const axis_config_t *config = axis->config;
     const current_loop_t *loop = &axis->current_loop;
     const bool spins = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN;
-    const bool enabled = spins && (axis->features & FEATURE_FIELD_WEAKENING) != 0U;
+    const bool enabled = spins && (axis->parameter.features & FEATURE_FIELD_WEAKENING) != 0U;
     if (!enabled && (!spins || axis->weakening.d == 0)) {
         axis->weakening = (field_weakening_t){0};
         return;
     }
-    const bool compensates = (axis->features & FEATURE_BUS_COMPENSATION) != 0U || axis->estimate.runs;
+    const bool compensates = (axis->parameter.features & FEATURE_BUS_COMPENSATION) != 0U || axis->estimate.runs;
     const field_weakening_input_t input = {
         .demand = {demand_of(loop->voltage.d, &loop->d), demand_of(loop->voltage.q, &loop->q)},
         .u_max = f16_mul(compensates ? axis->u_dc : config->u_dc_nominal, config->current_loop.modulation_limit),

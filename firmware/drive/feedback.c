@@ -34,7 +34,7 @@ static frac32_t speed_feedback(axis_t *axis)
     const speed_observer_config_t *config = &axis->config->speed_observer;
     const int32_t position = encoder->position.position;
     const bool observed = encoder->observes;
-    encoder->observes = (axis->features & FEATURE_SPEED_OBSERVER) != 0U && axis_has_speed_observer(axis);
+    encoder->observes = (axis->parameter.features & FEATURE_SPEED_OBSERVER) != 0U && axis_has_speed_observer(axis);
     if (!encoder->observes) {
         return encoder->speed.speed;
     }
@@ -48,8 +48,8 @@ static frac32_t speed_feedback(axis_t *axis)
 /* The observer needs the M/T speed only for its initialisation; the enhancement of M/T is not needed after that. */
 static bool stretches(const axis_t *axis)
 {
-    const bool observes = axis->encoder.observes && (axis->features & FEATURE_SPEED_OBSERVER) != 0U;
-    return (axis->features & FEATURE_ENHANCED_MT) != 0U && !observes;
+    const bool observes = axis->encoder.observes && (axis->parameter.features & FEATURE_SPEED_OBSERVER) != 0U;
+    return (axis->parameter.features & FEATURE_ENHANCED_MT) != 0U && !observes;
 }
 
 static bool encoder_source_slow(axis_t *axis)

@@ -35,7 +35,7 @@ static bool trusted(const home_t *home) { return home->state == HOME_STATE_KNOWN
 /* Without a home position the shaft must stay near the position at which the axis was enabled. */
 static bool confined(const axis_t *axis)
 {
-    const bool on = (axis->features & FEATURE_HOMING) != 0U && !axis->sensorless;
+    const bool on = (axis->parameter.features & FEATURE_HOMING) != 0U && !axis->sensorless;
     return on && axis->home.state == HOME_STATE_UNKNOWN;
 }
 

@@ -50,7 +50,7 @@ static void observe_currents(axis_t *axis, dq_t before)
 {
     observation_t *o = &axis->observation;
     const current_loop_t *loop = &axis->current_loop;
-    o->features = axis->features;
+    o->features = axis->parameter.features;
     o->position = axis->feedback.position;
     o->current_ref = axis->current_ref;
     o->voltage = loop->voltage;

@@ -46,7 +46,7 @@ static int32_t lag_of(const axis_t *axis, frac32_t speed)
 static void start_path(axis_t *axis, int32_t target, frac32_t speed)
 {
     motion_state_t *m = &axis->motion;
-    m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U;
+    m->path_forward = (axis->parameter.features & FEATURE_SPEED_FORWARD) != 0U;
     limits_settle(axis);
     path_filter_reset(&m->path, i32_add_wrap(axis->feedback.position, lag_of(axis, speed)),
                       path_step_of(axis->config, speed), axis->path_limits.omega_n_ts);
@@ -237,7 +237,7 @@ static void follow_path(axis_t *axis)
     motion_state_t *m = &axis->motion;
     const path_position_t before = m->path.output;
     if (m->shaped_speed == 0) {
-        m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U; /* in motion this would be a step */
+        m->path_forward = (axis->parameter.features & FEATURE_SPEED_FORWARD) != 0U; /* in motion this would be a step */
     }
     path_filter_step(&m->path, m->target, axis->path_limits.step, axis->path_limits.acceleration,
                      axis->path_limits.omega_n_ts);
@@ -286,7 +286,7 @@ static frac32_t followed_speed(axis_t *axis, path_position_t behind)
 static void follow_model(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    if ((axis->features & FEATURE_FOLLOWING_ERROR) == 0U || m->current_reduced) {
+    if ((axis->parameter.features & FEATURE_FOLLOWING_ERROR) == 0U || m->current_reduced) {
         m->model_position = path_counts(axis->feedback.position);
         return;
     }

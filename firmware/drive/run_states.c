@@ -87,7 +87,7 @@ static void to_spin(axis_t *axis)
     axis->test_current = (dq_t){0, 0};
     homing_spin(axis);
     motion_start(axis);
-    choose_dead_time(axis, axis->features);
+    choose_dead_time(axis, axis->parameter.features);
     angle_check_start(axis);
     enter(axis, SUBSTATE_SPIN);
 }
@@ -165,7 +165,7 @@ static void ready_startup(axis_t *axis)
 static void ready_test(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
-    choose_dead_time(axis, axis->features);
+    choose_dead_time(axis, axis->parameter.features);
     test_mode_start(axis);
     enter(axis, SUBSTATE_TEST);
 }
@@ -409,7 +409,7 @@ static finding_set_t monitor_shaft(axis_t *axis)
     const bool full = axis->motion.saturated && !axis->motion.current_reduced; /* a reduced limit is no evidence */
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
     shaft_observation_t seen = {
-        .features = axis->features,
+        .features = axis->parameter.features,
         .speed = axis->feedback.speed,
         .speed_limit = axis->limits.speed,
         .decelerated_at_limit = full && opposed,
@@ -417,8 +417,8 @@ static finding_set_t monitor_shaft(axis_t *axis)
         .following_error = motion_following_error(axis),
     };
     if ((seen.features & (FEATURE_FOLLOWING_ERROR | FEATURE_OVER_SPEED)) != 0U) {
-        seen.following_error_max = axis->following_error_max;
-        seen.over_speed_max = axis->over_speed_max;
+        seen.following_error_max = axis->parameter.following_error;
+        seen.over_speed_max = axis->parameter.over_speed;
     }
     return shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen);
 }
@@ -461,11 +461,11 @@ static void spin_slow(axis_t *axis)
 static void spin_estimate(axis_t *axis)
 {
     track_offsets(axis);
-    choose_dead_time(axis, axis->features);
+    choose_dead_time(axis, axis->parameter.features);
     current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
     if (axis->sensorless) {
         follow_rotor(axis);
-    } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
+    } else if (axis->estimate.runs || (axis->parameter.features & FEATURE_ANGLE_CHECK) != 0U) {
         angle_check_step(axis);
     }
 }
@@ -477,7 +477,7 @@ static void spin_check(axis_t *axis)
     } else {
         angle_check_judge(axis);
     }
-    if (axis->motion.underrun && (axis->features & FEATURE_STARVED) != 0U) {
+    if (axis->motion.underrun && (axis->parameter.features & FEATURE_STARVED) != 0U) {
         axis_raise(axis, FOUND(FINDING_HOST_SILENT));
     }
     const finding_set_t findings = monitor_shaft(axis);
@@ -539,17 +539,17 @@ static void test_slow(axis_t *axis)
 static void test_estimate(axis_t *axis)
 {
     track_offsets(axis);
-    choose_dead_time(axis, axis->features);
+    choose_dead_time(axis, axis->parameter.features);
 }
 
 /* An imposed vector gives no feedback of the shaft: only over-speed is checked. */
 static void test_check(axis_t *axis)
 {
     const shaft_observation_t seen = {
-        .features = (uint16_t)(axis->features & FEATURE_OVER_SPEED),
+        .features = (uint16_t)(axis->parameter.features & FEATURE_OVER_SPEED),
         .speed = axis->feedback.speed,
         .speed_limit = axis->limits.speed,
-        .over_speed_max = axis->over_speed_max,
+        .over_speed_max = axis->parameter.over_speed,
     };
     axis_raise(axis, shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen));
 }

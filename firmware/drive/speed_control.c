@@ -7,13 +7,13 @@ static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
 {
     const motion_state_t *m = &axis->motion;
     frac32_t i_q = 0;
-    if ((axis->features & FEATURE_FRICTION) != 0U) {
+    if ((axis->parameter.features & FEATURE_FRICTION) != 0U) {
         i_q = friction_current(&config->friction, m->shaped_speed);
     }
     /* If the shaft lags the path, its acceleration differs from that of the path. */
     const bool in_time = m->motion != MOTION_POSITION || m->path_forward;
     const bool timed = m->motion == MOTION_TRAJECTORY;
-    if (timed || ((axis->features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time)) {
+    if (timed || ((axis->parameter.features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time)) {
         const int64_t inertia = asr64((int64_t)m->acceleration * config->acceleration_forward, 16);
         i_q = sat32(i_q + inertia);
     }
@@ -106,7 +106,7 @@ frac16_t speed_control(axis_t *axis)
     motion_state_t *m = &axis->motion;
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
     const pi_gains_t *gains = speed_gains(axis);
-    if ((axis->features & FEATURE_ANTI_WINDUP) == 0U) {
+    if ((axis->parameter.features & FEATURE_ANTI_WINDUP) == 0U) {
         m->speed_pi.excess = 0; /* equivalent to Kc = 0 */
     }
     /* The integral part uses the mean speed, i.e. the counted distance. The M/T speed decays for tens of milliseconds

@@ -22,7 +22,7 @@ void winding_protection_step(axis_t *axis)
 {
     winding_model_t *model = &axis->diagnosis.winding;
     const winding_model_config_t *config = &axis->config->winding_model;
-    const bool on = (axis->features & FEATURE_WINDING_MODEL) != 0U;
+    const bool on = (axis->parameter.features & FEATURE_WINDING_MODEL) != 0U;
     const bool step = winding_model_add(model, axis->current_loop.current);
     if (step) {
         winding_model_step(model, config, on);

@@ -237,7 +237,12 @@ def test_parameters_follow_their_defaults_and_others_stay(bench: BlockBench) -> 
     assert bench.read_words("param.position_min")[1] == -5000
     assert bench.read_words("axis2.torque_constant") == [999]
     axis = bench.axis(1)
-    assert (axis.features, axis.limits.i_q, axis.on_disable, axis.on_quick_stop) == (3, amps(1.5), 0, 2)
+    assert (axis.parameter.features, axis.limits.i_q, axis.parameter.on_disable, axis.parameter.on_quick_stop) == (
+        3,
+        amps(1.5),
+        0,
+        2,
+    )
     assert axis.sensorless
 
 

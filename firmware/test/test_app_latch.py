@@ -129,11 +129,11 @@ def test_locked_parameters_of_the_board_are_not_read_and_pending_faults_not_publ
     assert bench.axis(0).latch.pending & FAULTS.OVER_CURRENT
     assert bench.servo.record[0].pending == 0
     settings = bench.servo.settings
-    assert (settings.host_timeout, settings.monitor[0], settings.brake_resistor_fitted) == (before, 0, False)
+    assert (settings.host_timeout, settings.monitor[0], settings.brake) == (before, 0, 0)
     bench.servo.locked = False
     bench.slow(2)
     assert bench.servo.record[0].pending & FAULTS.OVER_CURRENT
-    assert (settings.host_timeout, settings.monitor[0], settings.brake_resistor_fitted) == (before + 1, 1, True)
+    assert (settings.host_timeout, settings.monitor[0], settings.brake) == (before + 1, 1, 1)
 
 
 def test_an_omitted_latch_does_not_repeat_a_new_write(bench: Bench) -> None:
@@ -162,13 +162,13 @@ def test_locked_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
 def test_parameter_applies_from_the_tick_after_its_write(bench: Bench, core: Core) -> None:
     """Parameters written by the protocol, of both axes and of the board."""
     core.lib.probe_run(bench.servo, 8)
-    before = [bench.axis(i).following_error_max for i in range(2)]
+    before = [bench.axis(i).parameter.following_error for i in range(2)]
     bench.servo.parameter.following_error = [7, 8]
     core.lib.probe_run(bench.servo, 8)
-    assert [bench.axis(i).following_error_max for i in range(2)] == before
+    assert [bench.axis(i).parameter.following_error for i in range(2)] == before
     bench.write_raw("param.host_timeout", [321])
     core.lib.probe_run(bench.servo, 8)
-    assert [bench.axis(i).following_error_max for i in range(2)] == [7, 8]
+    assert [bench.axis(i).parameter.following_error for i in range(2)] == [7, 8]
     assert bench.servo.settings.host_timeout == 321
     assert not bench.servo.marks.parameters
 

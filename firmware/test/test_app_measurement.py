@@ -58,7 +58,7 @@ class Session(BlockBench):
             **{name: self.read_words(name) for name in KEPT},
             "blocks": [read_block(self, axis) for axis in range(2)],
             "checksum": self.read_words("config.checksum"),
-            "latched": (self.axis(0).latch.enabled, self.axis(0).features, self.axis(0).command.mode),
+            "latched": (self.axis(0).latch.enabled, self.axis(0).parameter.features, self.axis(0).command.mode),
         }
 
     def take(self, axis: int, block: dict[str, int]) -> None:

@@ -50,7 +50,7 @@ def test_motor_unsuitable_for_the_observer_keeps_its_encoder(core: Core) -> None
     config.observer.drive = 0
     b.axis(0).config = config
     b.to_stop()
-    b.axis(0).feedback_requested = OBSERVER  # a host cannot: the write is refused (test_app_ranges.py)
+    b.axis(0).parameter.feedback = OBSERVER  # a host cannot: the write is refused (test_app_ranges.py)
     b.slow(2)
     assert not b.axis(0).sensorless
 

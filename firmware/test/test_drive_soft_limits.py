@@ -294,7 +294,7 @@ def test_allowed_speed_over_the_distance_to_a_limit(
     """
     bench = Bench(core)
     axis = bench.axis(0)
-    axis.features = FEATURES.POSITION_LIMITS
+    axis.parameter.features = FEATURES.POSITION_LIMITS
     here = high - round(math.exp(near)) if here is None else here
     axis.limits.position_min, axis.limits.position_max = low, high
     axis.limits.speed = speed(maximum)

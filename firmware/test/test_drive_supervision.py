@@ -247,7 +247,7 @@ def switch_off(bench: Bench, feature: int) -> None:
 
 
 def test_all_features_of_the_reference_are_enabled_after_reset(bench: Bench) -> None:
-    assert [bench.axis(i).features for i in range(2)] == [15, 15]
+    assert [bench.axis(i).parameter.features for i in range(2)] == [15, 15]
 
 
 def test_anti_windup_can_be_disabled(bench: Bench) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from servo_msgs_py.catalogue import FORMATS, Catalogue
 from servo_msgs_py.quantity import Quantity
@@ -58,10 +58,9 @@ class AxisConfigTable:
     layout: int  # CRC-32 of all properties that determine the meaning of a block
 
     @classmethod
-    @lru_cache(maxsize=1)
-    def load(cls) -> AxisConfigTable:
-        """The packaged table, with the ranges of the packaged table of variables."""
-        return cls.parse(read_toml(Path(__file__).with_name("axis_config.toml")), Catalogue.load())
+    def load(cls, catalogue: Catalogue | None = None) -> AxisConfigTable:
+        """The packaged table, with the ranges of a table of variables, by default of the packaged one."""
+        return _packaged() if catalogue is None else cls.parse(read_toml(_PACKAGED), catalogue)
 
     @classmethod
     def parse(cls, table: Mapping[str, Any], catalogue: Catalogue) -> AxisConfigTable:
@@ -193,9 +192,18 @@ class AxisConfigTable:
         return [member for path, member in self.members.items() if old[path] != new[path]]
 
 
+_PACKAGED: Final = Path(__file__).with_name("axis_config.toml")
+
+
+@lru_cache(maxsize=1)
+def _packaged() -> AxisConfigTable:
+    """The packaged table, cached: parsing takes milliseconds."""
+    return AxisConfigTable.load(Catalogue.load())
+
+
 def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member:
     known = {
-        "format", "type", "bits", "minimum", "maximum", "fixed", "scale", "parameter", "answer", "live",
+        "format", "type", "bits", "minimum", "maximum", "fixed", "scale", "answer", "live",
     }  # fmt: skip
     if unknown := set(entry) - known:
         raise AxisConfigError(f"{path}: unknown key {', '.join(sorted(unknown))}")
@@ -203,9 +211,10 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
         raise AxisConfigError(f"{path}: no type, and no format that contains one")
     format_ = FORMATS[entry["type"]]
     low, high = entry.get("minimum", 0), entry.get("maximum", 0)
-    if "parameter" in entry:
-        raw_low, high = catalogue[entry["parameter"]].raw_range
-        low = entry.get("minimum", raw_low)
+    for parameter in catalogue.variables.values():
+        if parameter.default == f"axis.{path}":
+            raw_low, high = parameter.raw_range
+            low = entry.get("minimum", raw_low)
     if "fixed" in entry:
         low = high = entry["fixed"]
     if "answer" in entry:

@@ -17,6 +17,11 @@ from servo_msgs_py.units import to_raw
 AXES: Final = 2
 """Axes of one board."""
 
+ANALOG_OUTS: Final = 2
+"""Monitor outputs of one board."""
+
+_COUNTS: Final[Mapping[str, int]] = {"axes": AXES, "analog_outs": ANALOG_OUTS}
+
 Value = float | int | list[float] | list[int] | bytes
 """A decoded variable: a number, a list with one number per axis, or the bytes of a block."""
 
@@ -71,13 +76,15 @@ class Variable(Quantity):
 
     path: str  # C path below ``servo_t`` in the memory shared by host and board; empty: local variable of a loop
     type: str  # type word of the table: ``frac16``, ``int32``, ``enum`` ...
-    count: int  # elements; more than one for arrays with one element per axis
+    count: int  # elements
+    elements_of: str  # ``axes`` or ``analog_outs``: one element each; empty for others
     full_scale: float | None  # SI value of 1.0; fractional types only
     writable: bool  # whether the host may write it
     enum: str | None = None  # name of the enumeration
     flags: str | None = None  # name of the flag set
     source: str | None = None  # C path below ``servo_t`` to the value in the loop
     part: int = 0  # offset of the variable in the source [bytes]
+    default: str = ""  # of a parameter; see `servo_msgs_py.parameter_code`
 
     @property
     def element_size(self) -> int:
@@ -325,7 +332,7 @@ def _variable(
     name = str(entry.get("name", "?"))
     unknown = set(entry) - {
         "name", "path", "type", "count", "scale", "access", "minimum", "maximum", "description", "enum", "flags",
-        "source", "part",
+        "source", "part", "default",
     }  # fmt: skip
     if unknown:
         raise CatalogueError(f"{name}: unknown key {', '.join(sorted(unknown))}")
@@ -337,6 +344,10 @@ def _variable(
     type_ = str(entry["type"])
     if type_ not in FORMATS:
         raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(FORMATS)}")
+    count = entry.get("count", 1)
+    elements_of = count if isinstance(count, str) else ""
+    if elements_of and elements_of not in _COUNTS:
+        raise CatalogueError(f"{name}: unknown count {elements_of!r}; known are numbers, {', '.join(_COUNTS)}")
     if "source" in entry and (type_ == "block" or "count" in entry):
         raise CatalogueError(f"{name}: only a single number can have a source")
     format_ = FORMATS[type_]
@@ -378,13 +389,15 @@ def _variable(
         lsb=lsb,
         path=str(entry.get("path", "")),
         type=type_,
-        count=int(entry.get("count", 1)),
+        count=_COUNTS[elements_of] if elements_of else int(count),
+        elements_of=elements_of,
         full_scale=scale.full_scale,
         writable=access == "rw",
         enum=entry.get("enum"),
         flags=entry.get("flags"),
         source=entry.get("source"),
         part=int(entry.get("part", 0)),
+        default=str(entry.get("default", "")),
     )
 
 
