@@ -220,7 +220,7 @@ def test_the_demonstration_never_moves_a_real_board(capsys: pytest.CaptureFixtur
     ("arguments", "text"),
     [
         (["--port", ""], "empty; give a device path"),
-        (["--domain-id", "999"], "'999' is not a ROS domain (0 .. 232)"),
+        (["--domain-id", "999"], "'999' is too large; write a whole number from 0 up to 232: a ROS domain"),
         (["--set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
         (["--set", "param.i_q_limit=9,9"], "outside 0.1 .. 4 A"),
     ],

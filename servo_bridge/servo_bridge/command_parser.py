@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 from typing import Final
 
 from servo_msgs_py.board_parameters import Assignment, find, parse
 from servo_msgs_py.catalogue import Catalogue, Variable
+from servo_msgs_py.quantity import Quantity
+from servo_msgs_py.value_text import parse_assignment
 
 from servo_msgs_py import argument, topics
 
@@ -24,18 +25,11 @@ def _target(unit: str) -> Callable[[str], tuple[str, float]]:
     """Parser of a joint with a value in a unit."""
 
     def target(text: str) -> tuple[str, float]:
-        joint, separator, value = text.partition("=")
         try:
-            number = float(value)
-        except ValueError:
-            joint = ""
-        if not (joint and separator):
-            raise argparse.ArgumentTypeError(
-                f"{text!r}: write JOINT=VALUE, the value as a number in {unit}, for example axis1=1.57"
-            )
-        if not math.isfinite(number):
-            raise argparse.ArgumentTypeError(f"{text!r}: {value} is not a finite number")
-        return joint, number
+            joint, value = parse_assignment(text, "JOINT=VALUE, for example axis1=1.57")
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+        return joint, argument.finite(value, Quantity(unit=unit))
 
     return target
 

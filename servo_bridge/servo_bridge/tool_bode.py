@@ -17,6 +17,7 @@ from servo_measurement.bode_plan import LOOPS, BodeRequest
 from servo_measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.runtime.program import complain, deferred
 
 from servo_bridge.bode_recording import write_recording
@@ -56,7 +57,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         metavar="RAD",
         help="largest angle of the shaft in each direction",
     )
-    command.add_argument("--repeat", type=_count, default=4, metavar="N", help="sweeps per band (default: 4)")
+    command.add_argument("--repeat", type=_repeats, default=4, metavar="N", help="sweeps per band (default: 4)")
     command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
     command.add_argument(
         "--out", type=Path, metavar="DIR", help="write curves (.csv) and a plot (.png) to this directory"
@@ -101,7 +102,5 @@ def _write(result: Bode, folder: Path | None, recording: Path | None) -> None:
         write_recording(result, recording)
 
 
-def _count(text: str) -> int:
-    if not text.isdigit() or not 2 <= int(text) <= 100:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 2 to 100")
-    return int(text)
+def _repeats(text: str) -> int:
+    return argument.whole(text, Quantity(minimum=2.0, maximum=100.0, whole=True))

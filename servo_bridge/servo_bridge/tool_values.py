@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterable, Mapping
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
@@ -23,8 +22,6 @@ __all__ = [
     "parse_values",
     "value_text",
 ]
-
-_INDEXED = re.compile(r"(?P<name>.+)\[(?P<index>\d+)\]\Z")
 
 
 class UsageError(ValueError):
@@ -50,12 +47,12 @@ def lookup(variables: Mapping[str, BoardVariable], text: str) -> tuple[BoardVari
     """
     if text in variables:
         return variables[text], None
-    match = _INDEXED.match(text)
-    if match is not None and match["name"] in variables:
-        variable = variables[match["name"]]
-        if int(match["index"]) >= variable.count:
+    name, index = value_text_of.parse_element(text)
+    if index is not None and name in variables:
+        variable = variables[name]
+        if index >= variable.count:
             raise UnknownVariableError(f"{variable.name} has elements 0 .. {variable.count - 1}")
-        return variable, int(match["index"])
+        return variable, index
     near = difflib.get_close_matches(text, variables, n=3)
     hint = f"; did you mean {', '.join(near)}?" if near else "; `servo-tool vars` lists all"
     raise UnknownVariableError(f"the board has no variable {text!r}{hint}")

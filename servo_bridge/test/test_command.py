@@ -160,7 +160,7 @@ def test_disable_does_not_report_success_for_a_board_that_is_lost(
     ("arguments", "text"),
     [
         (["position", "axis1=1", "axis1=2"], "axis1 is given twice"),
-        (["position", "axis1=nan"], "nan is not a finite number"),
+        (["position", "axis1=nan"], "'nan' is not a finite number; write a number of either sign [rad]"),
         (["position", "axis1"], "write JOINT=VALUE"),
         (["set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
         (["set", "cmd.enable[0]=1"], "cmd.enable is not a parameter"),

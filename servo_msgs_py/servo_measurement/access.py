@@ -5,7 +5,6 @@ The same measurement runs on a virtual board in simulated time and on a board at
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from servo_msgs_py.board_port import BoardPort
 from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.value_text import parse_element
 from servo_tuning.errors import Remedy
 
 RECORDER_BYTES: Final = 7680
@@ -22,8 +22,6 @@ RECORDER_BYTES: Final = 7680
 
 TRIGGER_TIMEOUT: Final = 2.0
 """Timeout from the start of a recording to its trigger [s]."""
-
-_ELEMENT: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<index>\d+)\])?")
 
 
 class MeasurementError(RuntimeError):
@@ -139,13 +137,13 @@ def element_of(catalogue: Catalogue, name: str) -> tuple[Variable, int]:
     MeasurementError
         If it does not exist.
     """
-    match = _ELEMENT.fullmatch(name)
-    variable = None if match is None else catalogue.variables.get(match["name"])
-    if match is None or variable is None or variable.type == "block":
+    whole, element = parse_element(name)
+    variable = catalogue.variables.get(whole)
+    if variable is None or variable.type == "block":
         raise MeasurementError(f"{name!r} is not a variable that can be recorded")
-    if match["index"] is None and variable.count > 1:
+    if element is None and variable.count > 1:
         raise MeasurementError(f"{name} is an array; write one element, such as {name}[0]")
-    index = int(match["index"] or 0)
+    index = element or 0
     if index >= variable.count:
         raise MeasurementError(f"{variable.name} has elements 0 .. {variable.count - 1}")
     return variable, index

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import textwrap
 from argparse import ArgumentTypeError, HelpFormatter
@@ -13,18 +12,16 @@ from servo_msgs_py.quantity import ABOVE_0, Quantity
 _FINITE: Final = Quantity()
 _NOT_NEGATIVE: Final = Quantity(minimum=0.0)
 _POSITIVE: Final = Quantity(minimum=ABOVE_0)
+_WHOLE: Final = Quantity(minimum=0.0, whole=True)
 _COUNT: Final = Quantity(minimum=1.0, whole=True)
 
 
 def finite(text: str, valid: Quantity = _FINITE) -> float:
     """A finite number that is valid for a quantity."""
     try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if problem := valid.problem(value):
-        raise ArgumentTypeError(f"{text.strip()!r} is {problem}; write {valid.expected}")
-    return value
+        return valid.parse(text)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from None
 
 
 def not_negative(text: str) -> float:
@@ -37,9 +34,14 @@ def positive(text: str) -> float:
     return finite(text, _POSITIVE)
 
 
+def whole(text: str, valid: Quantity = _WHOLE) -> int:
+    """A whole number that is valid for a quantity, by default of at least 0."""
+    return int(finite(text, valid))
+
+
 def count(text: str) -> int:
     """A whole number of at least 1."""
-    return int(finite(text, _COUNT))
+    return whole(text, _COUNT)
 
 
 class ParagraphFormatter(HelpFormatter):

@@ -6,14 +6,13 @@ written.
 
 from __future__ import annotations
 
-import re
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
-from servo_msgs_py.value_text import parse_values
+from servo_msgs_py.value_text import parse_assignment, parse_element, parse_values
 
 PREFIX: Final = "param."
 """Prefix of the names of all parameters."""
@@ -25,8 +24,6 @@ _ORDERED: Final = (("param.position_min", "param.position_max"),)  # the first m
 
 COMPARED: Final = frozenset(name for pair in _ORDERED for name in pair)
 """Parameters that `contradiction` checks."""
-
-_TARGET: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<element>\d+)\])?")
 
 
 @dataclass(frozen=True)
@@ -69,14 +66,13 @@ def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:
     ValueError
         If it does not exist.
     """
-    match = _TARGET.fullmatch(text)
+    name, element = parse_element(text)
     try:
-        variable = catalogue[match["name"] if match is not None else text]
+        variable = catalogue[name]
     except KeyError as error:
         raise ValueError(str(error.args[0])) from None
     if not variable.name.startswith(PREFIX):
         raise ValueError(f"{variable.name} is not a parameter; names of parameters begin with {PREFIX}")
-    element = None if match is None or match["element"] is None else int(match["element"])
     if element is not None and element >= variable.count:
         raise ValueError(f"{variable.name} has elements 0 .. {variable.count - 1}, not {element}")
     return variable, element
@@ -90,9 +86,7 @@ def parse(text: str, catalogue: Catalogue) -> Assignment:
     ValueError
         If the parameter does not exist or the value is invalid; the text contains the reason.
     """
-    target, separator, value = (part.strip() for part in text.partition("="))
-    if not (target and separator and value):
-        raise ValueError(f"{text!r}: write NAME=VALUE, for example param.i_q_limit[0]=1.5")
+    target, value = parse_assignment(text, "NAME=VALUE, for example param.i_q_limit[0]=1.5")
     variable, element = find(target, catalogue)
     try:
         values = parse_values(variable, value, catalogue)

@@ -5,6 +5,7 @@ Variables of the board, members of its configuration, entries of files and param
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -68,6 +69,22 @@ class Quantity:
                 return "not a finite number"
             return "too small" if value < self.minimum else "too large"
         return "not a whole number" if self.whole and value % 1 else ""
+
+    def parse(self, text: str) -> float:
+        """Value of a text.
+
+        Raises
+        ------
+        ValueError
+            If it is not a valid number; the text says what is valid.
+        """
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if problem := self.problem(value):
+            raise ValueError(f"{text.strip()!r} is {problem}; write {self.expected}")
+        return value
 
     @property
     def expected(self) -> str:

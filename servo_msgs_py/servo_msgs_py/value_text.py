@@ -1,7 +1,8 @@
-"""Text format of the values of variables: numbers, names of values, flags joined by ``+``."""
+"""Text format of variables and their values: elements, assignments, numbers, names of values, flags joined by ``+``."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -9,6 +10,29 @@ from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
 NO_FLAG: Final = "none"
 """Text of a flag word without a set flag."""
+
+
+_ELEMENT: Final = re.compile(r"(?P<name>.+)\[(?P<index>\d+)\]")
+
+
+def parse_element(text: str) -> tuple[str, int | None]:
+    """Name and index in ``cmd.position[1]``; the whole text and None without an index."""
+    match = _ELEMENT.fullmatch(text)
+    return (text, None) if match is None else (match["name"], int(match["index"]))
+
+
+def parse_assignment(text: str, form: str) -> tuple[str, str]:
+    """Name and value in ``NAME=VALUE``, without blanks around them.
+
+    Raises
+    ------
+    ValueError
+        If a part is missing; the text asks for `form`.
+    """
+    name, sign, value = (part.strip() for part in text.partition("="))
+    if not (name and sign and value):
+        raise ValueError(f"{text!r}: write {form}")
+    return name, value
 
 
 def labels_of(variable: Variable, catalogue: Catalogue) -> Mapping[str, int]:

@@ -6,6 +6,7 @@ import pytest
 from servo_msgs_py.board_parameters import applied, contradiction, merged, parameters, parse, si
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import parameters_from_message, parameters_message
+from servo_msgs_py.value_text import parse_element
 
 CATALOGUE = Catalogue.load()
 DEFAULTS = {v.name: [v.to_raw(max(v.minimum, 0.0))] * v.count for v in parameters(CATALOGUE)}
@@ -76,3 +77,18 @@ def test_message_conversion_is_exact() -> None:
     message.layout.dim[1].label = message.layout.dim[1].label.replace("speed_limit", "torque_limit")
     with pytest.raises(ValueError, match="another version"):
         parameters_from_message(message, CATALOGUE)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("cmd.position[1]", ("cmd.position", 1)),
+        ("u_dc", ("u_dc", None)),
+        ("a[0][12]", ("a[0]", 12)),
+        ("a[]", ("a[]", None)),
+        ("a[-1]", ("a[-1]", None)),
+        ("[1]", ("[1]", None)),
+    ],
+)
+def test_an_element_is_a_name_with_an_index(text: str, expected: tuple[str, int | None]) -> None:
+    assert parse_element(text) == expected

@@ -19,12 +19,13 @@ from pathlib import Path
 from typing import Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.node_name import taken
 from servo_msgs_py.runtime.program import Interrupted, deferred, program
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
-from servo_msgs_py import board_parameters
+from servo_msgs_py import argument, board_parameters
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, LEVEL_VARIABLE, Level, add_level_option, chosen_level
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
@@ -61,9 +62,7 @@ def _port(text: str) -> str:
 
 
 def _domain(text: str) -> int:
-    if not text.isdecimal() or int(text) > _DOMAIN_MAX:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a ROS domain (0 .. {_DOMAIN_MAX})")
-    return int(text)
+    return argument.whole(text, Quantity(minimum=0.0, maximum=_DOMAIN_MAX, whole=True, text="a ROS domain"))
 
 
 def _assignment(text: str) -> str:

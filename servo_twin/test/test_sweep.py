@@ -64,8 +64,8 @@ def test_quantiles_are_those_of_the_distribution() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a", "is not NAME=VALUES"),
-        ("a=", "is not NAME=VALUES"),
+        ("a", "write NAME=VALUES"),
+        ("a=", "write NAME=VALUES"),
         ("a=3..1", "lower end is not below"),
         ("a=0..1 log", "requires values above 0"),
         ("a=0..1/1", "at least two"),

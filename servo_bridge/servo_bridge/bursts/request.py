@@ -15,6 +15,7 @@ from servo_bridge.freemaster.errors import RecorderError, StatusError
 from servo_bridge.freemaster.recorder import Limits, Recorder, Setup, Trigger
 from servo_bridge.tool_values import UsageError, lookup, opened
 from servo_bridge.wire.session import Session
+from servo_msgs_py import argument
 
 TICK: Final = "tick"
 """PWM periods since the reset of a servo board."""
@@ -136,7 +137,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--slow", dest="recorder", action="store_const", const=_SLOW, help="the recorder of the slow loop"
     )
-    which.add_argument("--recorder", type=_index, metavar="N", help="the recorder with this number")
+    which.add_argument("--recorder", type=argument.whole, metavar="N", help="the recorder with this number")
     burst.add_argument(
         "--trigger",
         metavar="EXPR",
@@ -144,7 +145,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )
     burst.add_argument("--level", action="store_true", help="trigger also if the condition holds from the start")
     burst.add_argument("--before", type=_before, metavar="PART", help="points before the trigger (default: 50%%)")
-    burst.add_argument("--points", type=_index, metavar="N", help="number of points (default: as many as fit)")
+    burst.add_argument("--points", type=argument.whole, metavar="N", help="number of points (default: as many as fit)")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -166,12 +167,6 @@ def _before(text: str) -> Before:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"{text!r} is neither a fraction such as 30% nor a number of points")
-
-
-def _index(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
-    return int(text)
 
 
 def _divider(rate: float | None, limits: Limits) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections import Counter
 from collections.abc import Sequence
@@ -10,6 +9,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.quantity import ABOVE_0, Quantity
+from servo_msgs_py.value_text import parse_assignment
 
 from servo_twin.board import SimulationError
 from servo_twin.diagnosis.board_pair import BoardPair, Motion
@@ -41,13 +42,12 @@ class Change:
         ValueError
             If the text has another form.
         """
-        name, sign, number = text.partition("=")
-        if name not in PLANT_VALUES or not sign:
-            raise ValueError(f"{text!r} is not NAME=FACTOR with one of {', '.join(PLANT_VALUES)}; load=TORQUE in N m")
-        size = float(number)
-        if not math.isfinite(size) or (name != "load" and size <= 0.0):
-            raise ValueError(f"{text!r}: {number} is not a factor above 0")
-        return cls(name, size)
+        form = f"NAME=FACTOR with one of {', '.join(PLANT_VALUES)}; load=TORQUE in N m"
+        name, number = parse_assignment(text, form)
+        if name not in PLANT_VALUES:
+            raise ValueError(f"{text!r}: write {form}")
+        valid = Quantity(unit="N m") if name == "load" else Quantity(minimum=ABOVE_0)
+        return cls(name, valid.parse(number))
 
     def key(self, axis: int) -> str:
         """Name in the plant file."""

@@ -7,7 +7,6 @@ When the recording of the board arrives, the same ticks are extracted. Identical
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.value_text import parse_element
 
 from servo_msgs_py import topics
 from servo_twin.board_memory import BoardError
@@ -33,7 +33,6 @@ _READING: Final = 30.0  # longest time for reading a burst, and largest lag of t
 _LATE: Final = 32_000  # sampling continues after "recorder idle", as the burst may arrive later [ticks]
 _MEMORY: Final = 1 << 26  # largest memory of the samples [bytes]
 _ALIGNMENTS: Final = 1024  # stored changes of the alignment
-_ELEMENT: Final = re.compile(r"(.+?)(?:\[(\d+)\])?")
 _SAME_ANGLE: Final = 10  # largest difference of equal electrical angles [counts]: noise of a rotor search
 _WRAP: Final = 1 << 32
 _NO_SETUP: Final = "the twin was started after the set-up of the recorder"
@@ -214,11 +213,11 @@ class BurstSampler:
     # ---- sampling
     def _element(self, name: str) -> tuple[Variable, int] | None:
         """Variable and element; None if the twin does not have it or the host can write it at any time."""
-        match = _ELEMENT.fullmatch(name)
-        variable = self._catalogue.variables.get(match.group(1)) if match else None
-        if match is None or variable is None or variable.writable or variable.type == "block":
+        whole, index = parse_element(name)
+        variable = self._catalogue.variables.get(whole)
+        if variable is None or variable.writable or variable.type == "block":
             return None
-        element = int(match.group(2) or 0)
+        element = index or 0
         if element >= variable.count or (name != _TICK and name in PER_BOARD):
             return None
         return variable, element

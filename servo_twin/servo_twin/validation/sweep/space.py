@@ -11,6 +11,7 @@ from statistics import NormalDist
 from typing import Final, Literal
 
 import numpy as np
+from servo_msgs_py.value_text import parse_assignment
 
 Method = Literal["grid", "latin", "random"]
 METHODS: Final[tuple[Method, ...]] = ("grid", "latin", "random")
@@ -53,9 +54,10 @@ class Varied:
         SpaceError
             If the text is invalid.
         """
-        name, equals, values = (part.strip() for part in text.partition("="))
-        if not (name and equals and values):
-            raise SpaceError(f"{text!r} is not NAME=VALUES")
+        try:
+            name, values = parse_assignment(text, "NAME=VALUES")
+        except ValueError as error:
+            raise SpaceError(str(error)) from None
         factor, values = values.startswith("*"), values.removeprefix("*").strip()
         if found := _NORMAL.fullmatch(values):
             mean, deviation = map(float, found.groups())
