@@ -73,13 +73,13 @@ def test_the_configured_loops_are_stable(number: int) -> None:
     loops = field_weakening_loops(it.axis, it.board, it.block)
     assert loops["by i_d"].crossover == pytest.approx(40.0, rel=0.02)
     assert all(1.0 / loop.gain >= 2.0 and loop.phase >= 45.0 for loop in loops.values())
-    assert not [line for line in findings(it, assess(it)) if "field_weakening" in line]
+    assert not [line for line in map(str, findings(it, assess(it))) if "field_weakening" in line]
 
 
 def test_a_too_fast_loop_causes_a_warning_if_enabled() -> None:
     for on in (True, False):
         it = axis(1, defaults__field_weakening__bandwidth=100.0, defaults__features__field_weakening=on)
-        found = [line for line in findings(it, assess(it)) if "field_weakening.bandwidth" in line]
+        found = [line for line in map(str, findings(it, assess(it))) if "field_weakening.bandwidth" in line]
         assert bool(found) == on
 
 

@@ -251,7 +251,7 @@ def test_e45_overshoots_and_a_quarter_does_not() -> None:
 def assessed(**changes: object) -> tuple[Tuned, Assessment, list[str]]:
     it = axis(1, **changes)
     figures = assess(it)
-    return it, figures, findings(it, figures)
+    return it, figures, list(map(str, findings(it, figures)))
 
 
 def test_the_committed_axes_cause_no_warning() -> None:

@@ -72,7 +72,7 @@ def tune_or_refuse(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]
     try:
         return tune(whole)
     except ConfigError as refusal:
-        return refusal.fact
+        return refusal.problem.fact
 
 
 def fill(config: Any, constants: AxisConstants) -> None:

@@ -16,6 +16,7 @@ from servo_tuning.findings import findings
 from servo_tuning.optional import PARTS
 from servo_tuning.passwords import password_constants
 from servo_tuning.reading import parse
+from servo_tuning.remedies import explained
 from servo_tuning.source import c_source
 from servo_tuning.tuned import tuned
 from tuning_tool import CATALOGUE, case, configuration, entries, table
@@ -261,7 +262,7 @@ TOGETHER = [
 def test_inconsistent_numbers_are_refused(beginning: str, reason: str, changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError) as refusal:
         compute(**changes)
-    message = str(refusal.value)
+    message = str(explained(refusal.value))
     assert message.startswith(beginning), message
     assert reason in message, message
     assert message.count("; ") >= 1, f"no remedy: {message}"
@@ -332,7 +333,7 @@ def test_only_what_an_axis_uses_is_refused(
     assert reason in str(refusal.value)
     whole = configuration(**changes)
     design = tuned(whole.axes[0], whole)
-    warnings = findings(design, assess(design))
+    warnings = list(map(str, findings(design, assess(design))))
     assert any(beginning in warning and reason in warning for warning in warnings), warnings
     for name in design.unusable:
         assert {field: design.constants[field] for field in PARTS[name].off} == PARTS[name].off

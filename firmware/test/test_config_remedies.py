@@ -9,9 +9,10 @@ from typing import Any, Final
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from servo_tuning.acceptance import refusal_of
-from servo_tuning.errors import RAISE, Remedy, lower, refused, value_in, with_value
-from tuning_tool import entries, table
+from servo_tuning.errors import RAISE, ConfigError, Remedy, lower, problem
+from servo_tuning.reading import parse
+from servo_tuning.remedies import applied, explained, refusal_of, tried, value_in, with_value
+from tuning_tool import CATALOGUE, entries, table
 
 STEPS_MAX: Final = 12
 
@@ -37,34 +38,35 @@ def changed(draw: st.DrawFn) -> dict[str, Any]:
 def test_remedies_lead_to_an_accepted_configuration(whole: dict[str, Any], choice: int) -> None:
     error, path = refusal_of(whole), []
     while error is not None:
-        path.append(str(error))
+        remedies = (found := tried(error, whole)).remedies
+        path.append(str(found))
         assert len(path) < STEPS_MAX, path
-        remedies = error.remedies
         if not remedies:  # data of the motor or of the board that no other value can correct
             assert error.advice, path
             return
         remedy = remedies[choice % len(remedies)]
         assert remedy.value is not None
         assert f"{remedy.value:g}" in path[-1], "the message has the value"
-        whole = with_value(whole, remedy.entry, int(remedy.value) if remedy.whole else remedy.value)
+        whole = dict(applied(whole, remedy))
         again = refusal_of(whole)
         assert again is None or again.entry != error.entry, (path, str(again))
         error = again
 
 
 def test_a_refusal_keeps_its_values_in_another_process() -> None:
-    error = refusal_of(with_value(table(), "axis1.stop.time_max", 0.5))
-    assert error is not None
-    other = pickle.loads(pickle.dumps(error))
-    assert str(other) == str(error)
-    assert other.remedies == error.remedies
-    assert Remedy("axis1.stop.time_max", (RAISE,), 0.579) in other.remedies
+    with pytest.raises(ConfigError) as refusal:
+        parse(with_value(table(), "axis1.stop.time_max", 0.5), CATALOGUE)
+    other = pickle.loads(pickle.dumps(refusal.value))
+    assert str(other) == str(refusal.value)
+    assert Remedy("axis1.stop.time_max", (RAISE,), 0.579) in explained(other).problem.remedies
 
 
 def test_entries_without_an_accepted_value_are_named() -> None:
-    error = refused("axis1.limits.speed", 600.0, "too high", lower("axis1.friction.smooth"))
-    error.try_with(with_value(table(), "axis1.limits.speed", 600.0))
-    assert str(error) == "axis1.limits.speed = 600: too high; no other value of axis1.friction.smooth alone is accepted"
+    error = problem("axis1.limits.speed", 600.0, "too high", lower("axis1.friction.smooth"))
+    assert (
+        str(tried(error, with_value(table(), "axis1.limits.speed", 600.0)))
+        == "axis1.limits.speed = 600: too high; no other value of axis1.friction.smooth alone is accepted"
+    )
 
 
 @pytest.mark.parametrize(("k_1", "remedy"), [(-100.0, "-1940 or less"), (-15000.0, "-8360 or more")])
@@ -73,4 +75,5 @@ def test_bound_of_a_negative_value_is_on_the_accepted_side(k_1: float, remedy: s
     k_2 = 2000.0 if k_1 > -1000.0 else 5000.0
     whole = table(axis1__observer__k_1=k_1, axis1__observer__k_2=k_2, axis1__feedback="observer")
     error = refusal_of(whole)
-    assert f"axis1.observer.k_1 = {remedy}" in str(error)
+    assert error is not None
+    assert f"axis1.observer.k_1 = {remedy}" in str(tried(error, whole))

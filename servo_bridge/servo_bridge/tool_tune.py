@@ -13,6 +13,7 @@ from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.output_file import write_file
 from servo_tuning.board_file import text_of
 from servo_tuning.errors import ConfigError
+from servo_tuning.remedies import explained
 
 from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.plan import HEADING, Plan, computed, read_blocks
@@ -49,7 +50,7 @@ def tune(context: Context) -> int:
     try:
         return _from_board(context, memory) if args.from_board else _to_board(context, memory)
     except ConfigError as error:
-        print(f"servo-tool: {args.file or 'the configuration of the board'}: {error}", file=sys.stderr)
+        print(f"servo-tool: {args.file or 'the configuration of the board'}: {explained(error)}", file=sys.stderr)
         return 2 if args.file else 1
     except (AxisConfigError, BlockRefusedError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)

@@ -151,6 +151,10 @@ class AxisUnderTest:
             self.access.wait(part)
             seconds -= part
 
+    def attend(self) -> None:
+        """Rewrite the set-point and send a keep-alive where they are due; to be called during a computation."""
+        self.wait(_INSTANT)
+
     def _refresh(self) -> None:
         if self._set_point is not None and self.access.clock() > self._due - _INSTANT:
             self.renew()

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_tuning import remedies
 from servo_tuning.braking import BUS_END
-from servo_tuning.errors import ConfigError, Remedy, with_value
+from servo_tuning.errors import ConfigError, Problem, Remedy, Table
 from servo_tuning.members import MEMBERS
 from servo_tuning.reading import parse
+from servo_tuning.remedies import refusal_of
 from servo_tuning.rotor_search import SALIENT_USE
 from servo_tuning.tuned import Tuned, tuned
 
@@ -42,7 +44,6 @@ SLOW_LOOPS_SPEED_BANDWIDTH: Final = 12.0  # [Hz]
 SLOW_LOOPS_CURRENT_BANDWIDTH: Final = 300.0  # [Hz]
 VERIFY_MOVES: Final = 7.0  # angle of the verification of a rotor search, relative to the smallest movement
 PHASE_MIN: Final = 50.0  # of the speed loop [degrees]
-CORRECTIONS_MAX: Final = 8  # of entries that follow from the motor
 _CHOSEN: Final = (
     "limits.current",
     "limits.speed",
@@ -175,7 +176,8 @@ def fitted(
     *,
     slow_loops: bool = False,
     verify_time: float = 0.0,
-) -> dict[str, Any]:
+    attend: Callable[[], None] = lambda: None,
+) -> Table:
     """The same with the highest bandwidths possible for this motor; values in SI by name.
 
     Other entries that are refused with this motor are corrected by the remedies of the refusals.
@@ -186,6 +188,9 @@ def fitted(
         Low bandwidths, which amplify the noise of currents and speed less.
     verify_time : float
         Smallest duration of the verification of a rotor search [s].
+    attend : callable, optional
+        Called before each configuration that is tried: the search takes up to a second, a board waits less for its
+        host.
 
     Raises
     ------
@@ -206,36 +211,34 @@ def fitted(
         search = table.get("defaults", {}).get("rotor_search", {}) | table[axis_name(axis)]["rotor_search"]
         table[axis_name(axis)]["rotor_search"]["verify_time"] = max(search["verify_time"], verify_time)
         try:
-            table, design = corrected(table, axis)
+            fit, design = corrected(table, axis, attend)
         except ConfigError as error:
             problem = error
             continue
         phase = design.shaft().speed_margins().phase
         if phase is None or phase >= PHASE_MIN:
-            return table
+            return fit
     assert problem is not None
     raise problem
 
 
-def corrected(table: Mapping[str, Any], axis: int) -> tuple[dict[str, Any], Tuned]:
-    """Table with the corrections of entries that follow from the motor, and its gains.
+def corrected(table: Table, axis: int, attend: Callable[[], None] = lambda: None) -> tuple[Table, Tuned]:
+    """Table with the corrections of entries that follow from the motor, and its gains; `attend` as in `fitted`.
 
     Raises
     ------
     ConfigError
         If none of its remedies is a change of such an entry.
     """
-    for _ in range(CORRECTIONS_MAX):
-        try:
-            return dict(table), tuned_axis(table, axis)
-        except ConfigError as error:
-            permitted = partial(_may_change, axis=axis)
-            # trying takes long, and the board waits for its host meanwhile
-            remedy = next(filter(permitted, error.remedies), None) if error.offers(permitted) else None
-            if remedy is None or remedy.value is None:
-                raise
-            table = with_value(table, remedy.entry, int(remedy.value) if remedy.whole else remedy.value)
-    return dict(table), tuned_axis(table, axis)
+
+    def check(changed: Table) -> Problem | None:
+        attend()
+        return refusal_of(changed)
+
+    found = remedies.corrected(table, partial(_may_change, axis=axis), check)
+    if found.problem is not None:
+        raise ConfigError(found.problem)
+    return found.table, tuned_axis(found.table, axis)
 
 
 def _may_change(remedy: Remedy, axis: int) -> bool:

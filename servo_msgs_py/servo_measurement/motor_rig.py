@@ -12,7 +12,7 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_configuration
 from servo_msgs_py.trace import Trace
 from servo_tuning.configuration import Scales
-from servo_tuning.errors import ConfigError, exactly, higher, lower
+from servo_tuning.errors import ConfigError, Table, exactly, higher, lower
 from servo_tuning.formats import GAIN
 from servo_tuning.schema import BOARD_GROUPS
 
@@ -208,17 +208,19 @@ class MotorRig(AxisUnderTest):
         self._send(table, {})
         self._features()
 
-    def fitted(self, motor: Mapping[str, float], verify_time: float = 0.0) -> dict[str, Any]:
+    def fitted(self, motor: Mapping[str, float], verify_time: float = 0.0) -> Table:
         """``servo.toml`` with the bandwidths possible for a motor; its values in SI by name, `verify_time` in s."""
         try:
-            return fitted(self._base, self.axis, self.limits, motor, slow_loops=True, verify_time=verify_time)
+            return fitted(
+                self._base, self.axis, self.limits, motor, slow_loops=True, verify_time=verify_time, attend=self.attend
+            )
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
 
     def _send(self, table: Mapping[str, Any], members: Mapping[str, int]) -> None:
         """Send a configuration to the board, with some members of the block replaced."""
         try:
-            block = {**corrected(table, self.axis)[1].block, **members}
+            block = {**corrected(table, self.axis, self.attend)[1].block, **members}
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
         AxisConfigTable.load().check(block)

@@ -6,6 +6,6 @@ integers in the `formats` of the firmware (`braking`, `stops`, `temperature`, `w
 of one group of the file; `sensorless`: observer, PLL and start-up; `optional`: what an axis need not use), `block`
 arranges them as a configuration block, `source` writes them as C, and `restore` computes a file from a block. `loops`
 has the discrete models of the control loops with these integers and one of the `sensors`; `tuned` refuses unstable
-loops, `acceptance` is all of this at once, with which `errors` searches the values of remedies. `assessment` computes
-figures, `findings` returns warnings, `report` and `picture` show the results. `command` is the command line.
+loops. `assessment` computes figures, `findings` returns warnings, `report` and `picture` show the results. `errors` has
+the type of refusals and warnings, `remedies` searches the values of their remedies. `command` is the command line.
 """

@@ -11,7 +11,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.stop_categories import CATEGORIES
 
 from servo_tuning.conversion import AxisConstants, Category, FaultSet, Field, PiRaw, Switches
-from servo_tuning.errors import ConfigError, either
+from servo_tuning.errors import ConfigError, Problem, either
 from servo_tuning.schema import AXIS_GROUPS
 
 
@@ -88,8 +88,9 @@ def members_of(constants: AxisConstants, name: str) -> dict[str, int]:
         AxisConfigTable.load().check_part(found)
     except MemberRangeError as error:
         entry = _entry_of(error.path)
-        changes = [either(f"{name}.{entry}")] if entry else []
-        raise ConfigError(f"{name}: {error}", f"{name}: {error.path}", changes, "correct the motor data") from None
+        changes = (either(f"{name}.{entry}"),) if entry else ()
+        problem = Problem(f"{name}: {error}", f"{name}: {error.path}", changes, "correct the motor data")
+        raise ConfigError(problem) from None
     return found
 
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from servo_tuning.configuration import PINS, Axis, Configuration
 from servo_tuning.conversion import Category, Converter, FaultSet, Field
-from servo_tuning.errors import ConfigError, either, lower, remedies_tried
+from servo_tuning.errors import ConfigError, checking, either, lower
 from servo_tuning.formats import FRAC16, FRAC32, GAIN
 
 BUS_END: Final = 0.98
@@ -73,7 +73,7 @@ def brake_constants(configuration: Configuration) -> Mapping[str, int]:
     """
     if not configuration.board.complete:
         raise ConfigError("[board.brake] and [board.regeneration] are missing; the firmware needs both")
-    with remedies_tried(configuration.table):
+    with checking(configuration.table):
         return _brake_constants(configuration)
 
 

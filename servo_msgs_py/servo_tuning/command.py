@@ -21,6 +21,7 @@ from servo_tuning.errors import ConfigError
 from servo_tuning.passwords import password_constants
 from servo_tuning.picture import draw
 from servo_tuning.reading import SERVO_TOML, load
+from servo_tuning.remedies import explained
 from servo_tuning.report import as_dict, axis_reports, text
 from servo_tuning.source import c_source
 
@@ -94,7 +95,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return int(args.run(args, load(args.config, Catalogue.load())))
     except (OSError, ConfigError) as error:
-        print(f"{args.config}: {error}", file=sys.stderr)
+        text = explained(error) if isinstance(error, ConfigError) else error
+        print(f"{args.config}: {text}", file=sys.stderr)
     except PictureError as error:
         print(error, file=sys.stderr)
     return 1

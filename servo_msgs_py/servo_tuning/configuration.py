@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_tuning.errors import ConfigError, Remedy, refused
+from servo_tuning.errors import ConfigError, Problem, Remedy, problem, refused
 from servo_tuning.members import MEMBERS, read_members
 from servo_tuning.motor import Motor
 from servo_tuning.passwords import password_entries
@@ -140,7 +140,11 @@ class Axis:
 
     def refused(self, path: str, reason: str, *remedies: Remedy | str) -> ConfigError:
         """Error about one entry of this axis; remedies as for `named`."""
-        return refused(self.entry(path), self(path), reason, *map(self.named, remedies))
+        return ConfigError(self.problem(path, reason, *remedies))
+
+    def problem(self, path: str, reason: str, *remedies: Remedy | str) -> Problem:
+        """Problem of one entry of this axis; remedies as for `named`."""
+        return problem(self.entry(path), self(path), reason, *map(self.named, remedies))
 
     def named(self, remedy: Remedy | str) -> Remedy | str:
         """A remedy whose entry is a path of this axis or one of ``board.``, with the full name of the entry."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from servo_tuning.assessment import Assessment
+from servo_tuning.errors import Problem, exactly, higher, lower
 from servo_tuning.field_weakening import field_weakening_loops
 from servo_tuning.optional import PARTS
 from servo_tuning.rotor_search import RotorSearch
@@ -71,22 +72,7 @@ _ENTRIES: Final = {
 }
 
 
-class Finding(str):
-    """Text of a warning."""
-
-    to_lower: str = (
-        ""  # entry that removes the warning if it is lowered, such as axis1.control.speed_bandwidth; or empty
-    )
-
-
-def _lower(design: Tuned, path: str, text: str) -> Finding:
-    """Warning that ends with the remedy."""
-    found = Finding(text)
-    found.to_lower = f"{design.axis.name}.{path}"
-    return found
-
-
-def findings(design: Tuned, figures: Assessment) -> list[str]:
+def findings(design: Tuned, figures: Assessment) -> list[Problem]:
     """All warnings of one axis."""
     return [
         *_margins(design, figures),
@@ -101,138 +87,143 @@ def findings(design: Tuned, figures: Assessment) -> list[str]:
     ]
 
 
-def _entry(design: Tuned, path: str) -> str:
-    return f"{design.axis.entry(path)} = {design.axis(path):g}"
-
-
-def _margins(design: Tuned, figures: Assessment) -> Iterator[str]:
+def _margins(design: Tuned, figures: Assessment) -> Iterator[Problem]:
     for loop in figures.loops:
         if loop.name not in _ENTRIES or not loop.in_force:
             continue
         path = _ENTRIES[loop.name]
-        text = f"{_entry(design, path)}: the {loop.name} loop has a"
         phase, gain = loop.margins.phase, loop.margins.gain
         if phase is not None and phase < PHASE_MIN:
-            yield _lower(design, path, f"{text} phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}; lower it")
+            reason = f"the {loop.name} loop has a phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}"
+            yield design.axis.problem(path, reason, lower(path))
         if gain is not None and gain < GAIN_MIN:
-            yield _lower(design, path, f"{text} gain margin of {gain:.2f}, less than {GAIN_MIN:g}; lower it")
+            reason = f"the {loop.name} loop has a gain margin of {gain:.2f}, less than {GAIN_MIN:g}"
+            yield design.axis.problem(path, reason, lower(path))
 
 
-def _inertias(design: Tuned, figures: Assessment) -> Iterator[str]:
+def _inertias(design: Tuned, figures: Assessment) -> Iterator[Problem]:
     for case in figures.inertias:
         if not case.stable and case.observed == design.observed:
-            entry = _entry(design, "motor.inertia")
-            text = f"{entry}: unstable with {case.factor:g} times this inertia; lower control.speed_bandwidth"
-            yield _lower(design, "control.speed_bandwidth", text)
+            reason = f"unstable with {case.factor:g} times this inertia"
+            yield design.axis.problem("motor.inertia", reason, lower("control.speed_bandwidth"))
 
 
-def _position(design: Tuned, figures: Assessment) -> Iterator[str]:
+def _position(design: Tuned, figures: Assessment) -> Iterator[Problem]:
     path, rule, arrival = "control.position_gain", figures.rule, figures.arrival
-    entry = _entry(design, path)
     if rule.k_v_t > K_V_T_MAX:
-        text = f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MAX:g}, the shaft may overshoot; lower it"
-        yield _lower(design, path, text)
+        reason = f"K_v T = {rule.k_v_t:.2f} > {K_V_T_MAX:g}, the shaft may overshoot"
+        yield design.axis.problem(path, reason, lower(path))
     if arrival.bare > OVERSHOOT_MAX:
-        text = f"{entry}: a step without shaping overshoots by {100.0 * arrival.bare:.1f} %; lower it"
-        yield _lower(design, path, text)
+        reason = f"a step without shaping overshoots by {100.0 * arrival.bare:.1f} %"
+        yield design.axis.problem(path, reason, lower(path))
     if arrival.shaped > MOVE_OVERSHOOT_MAX:
-        text = f"{entry}: a shaped move overshoots by {arrival.shaped:.1f} counts; lower it or control.path_current_use"
-        yield _lower(design, path, text)
+        reason = f"a shaped move overshoots by {arrival.shaped:.1f} counts"
+        yield design.axis.problem(path, reason, lower(path), lower("control.path_current_use"))
 
 
-def _reach(design: Tuned, figures: Assessment) -> Iterator[str]:
+def _reach(design: Tuned, figures: Assessment) -> Iterator[Problem]:
     reach, limit = figures.reach, design.axis("limits.current")
     if design.axis("limits.speed") > reach.speed_rated:
-        entry = _entry(design, "limits.speed")
-        yield f"{entry}: above the speed possible with the rated current, {reach.speed_rated:.4g} rad/s; lower it"
+        reason = f"above the speed possible with the rated current, {reach.speed_rated:.4g} rad/s"
+        yield design.axis.problem("limits.speed", reason, lower("limits.speed"))
     required = {"control.path_current_use": reach.path_current, "limits.acceleration": reach.ramp_current}
     for path, current in required.items():
         if current + reach.friction_current > limit:
             sums = f"requires {current:.2f} A, with friction {current + reach.friction_current:.2f} A"
-            yield _lower(design, path, f"{_entry(design, path)}: {sums}; the limit is {limit:g} A; lower it")
+            yield design.axis.problem(path, f"{sums}; the limit is {limit:g} A", lower(path))
 
 
-def _field_weakening(design: Tuned) -> Iterator[str]:
+def _field_weakening(design: Tuned) -> Iterator[Problem]:
     if not design.axis.features["field_weakening"]:
         return
     for name, loop in field_weakening_loops(design.axis, design.board, design.block).items():
         if loop.gain * GAIN_MIN > 1.0:
-            entry = _entry(design, "field_weakening.bandwidth")
-            text = f"{entry}: the loop {name} has a gain margin of {1 / loop.gain:.2f}"
-            yield f"{text}, less than {GAIN_MIN:g}; lower it or field_weakening.current_use"
+            path = "field_weakening.bandwidth"
+            reason = f"the loop {name} has a gain margin of {1 / loop.gain:.2f}, less than {GAIN_MIN:g}"
+            yield design.axis.problem(path, reason, lower(path), lower("field_weakening.current_use"))
 
 
-def _rounding(design: Tuned) -> Iterator[str]:
+def _rounding(design: Tuned) -> Iterator[Problem]:
     for row in design.rows():
         lost = abs(row.used / row.designed - 1.0)
         if lost > ROUNDING_MAX:
             value = f"{design.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
-            yield f"{value}: rounding to an integer changes it by {100.0 * lost:.0f} %; choose a larger value"
+            fact = f"{value}: rounding to an integer changes it by {100.0 * lost:.0f} %"
+            yield Problem(fact, advice="choose a larger value")
 
 
-def _follows(design: Tuned) -> Iterator[str]:
+def _follows(design: Tuned) -> Iterator[Problem]:
     axis = design.axis
     search = RotorSearch.of(axis, design.board)
     if search.verify < SEARCH_SWINGS_MIN * search.swing:
-        text = f"a swing of the shaft about the vector takes {search.swing:.3g} s, too slow for a rotation in"
-        text = f"{text} {search.verify:.3g} s"
-        yield f"{_entry(design, 'rotor_search.current')}: {text}; raise it, or rotor_search.verify_angle"
+        reason = f"a swing of the shaft about the vector takes {search.swing:.3g} s, too slow for a rotation in"
+        changes = higher("rotor_search.current"), higher("rotor_search.verify_angle")
+        yield axis.problem("rotor_search.current", f"{reason} {search.verify:.3g} s", *changes)
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * math.radians(axis("rotor_search.turn_angle"))
     seen = flux / axis("rotor_search.turn_time")
     if seen < FOLLOW_VOLTAGE_MIN:
-        text = f"a following rotor gives {1e3 * seen:.2g} mV, below the error by dead time and switch drops"
-        yield f"{_entry(design, 'rotor_search.turn_time')}: {text}; write about {flux / FOLLOW_VOLTAGE_RECOMMENDED:.2g}"
+        reason = f"a following rotor gives {1e3 * seen:.2g} mV, below the error by dead time and switch drops"
+        path = "rotor_search.turn_time"
+        yield axis.problem(path, reason, exactly(path, _short(flux / FOLLOW_VOLTAGE_RECOMMENDED)))
 
 
-def _unusable(design: Tuned) -> Iterator[str]:
-    for name, reason in design.unusable.items():
-        yield f"{design.axis.name}: {PARTS[name].needed_for} cannot be used: {reason}"
-    if not design.axis.features["over_speed"] and design.axis("limits.over_speed") <= design.axis("limits.speed"):
-        text = f"with the feature OVER_SPEED a fault below limits.speed = {design.axis('limits.speed'):g} rad/s"
-        yield f"{_entry(design, 'limits.over_speed')}: {text}; write {1.2 * design.axis('limits.speed'):.3g}"
+def _short(value: float) -> float:
+    return float(f"{value:.2g}")
 
 
-def _sensorless(design: Tuned, figures: Assessment) -> Iterator[str]:
+def _unusable(design: Tuned) -> Iterator[Problem]:
+    axis = design.axis
+    for name, problem in design.unusable.items():
+        yield Problem(f"{axis.name}: {PARTS[name].needed_for} cannot be used: {problem}")
+    if not axis.features["over_speed"] and axis("limits.over_speed") <= axis("limits.speed"):
+        reason = f"with the feature OVER_SPEED a fault below limits.speed = {axis('limits.speed'):g} rad/s"
+        yield axis.problem("limits.over_speed", reason, higher("limits.over_speed", 1.2 * axis("limits.speed")))
+
+
+def _sensorless(design: Tuned, figures: Assessment) -> Iterator[Problem]:
     if design.used_sensorless is None:
         return
     found, start_up = figures.sensorless, design.used_sensorless.start_up
     if start_up.torque > START_UP_TORQUE_MAX:
-        entry = _entry(design, "start_up.current_first")
-        share = f"{100.0 * start_up.torque:.0f} % of the torque of its current"
-        yield f"{entry}: the start-up needs {share}; raise start_up.swings"
+        reason = f"the start-up needs {100.0 * start_up.torque:.0f} % of the torque of its current"
+        yield design.axis.problem("start_up.current_first", reason, higher("start_up.swings"))
     yield from _back_emf(design, found)
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
             text = f"with R x {case.r_s:g} and L x {case.inductance:g} the gains of the observer are unstable"
-            yield f"{design.axis.name}.observer at {case.speed:g} rad/s: {text}; lower observer.bandwidth"
+            fact = f"{design.axis.name}.observer at {case.speed:g} rad/s: {text}"
+            yield Problem(fact, advice="lower observer.bandwidth")
     if needs_observer(design.axis):
         yield from _observed_speed(design, figures)
 
 
-def _back_emf(design: Tuned, found: SensorlessFigures) -> Iterator[str]:
-    limit = design.axis("limits.speed")
+def _back_emf(design: Tuned, found: SensorlessFigures) -> Iterator[Problem]:
+    axis, limit = design.axis, design.axis("limits.speed")
     if found.blind_speed > BLIND_SPEED_MAX * limit:
         hidden = (
             f"below {found.blind_speed:.3g} rad/s the drop of limits.current in a warm winding exceeds the back-EMF"
         )
-        entry = _entry(design, "motor.r_s")
-        yield f"{entry}: sensorless, {hidden} in braking; lower limits.current, or use the encoder"
+        advice = "lower limits.current, or use the encoder"
+        yield axis.problem("motor.r_s", f"sensorless, {hidden} in braking", advice)
     part = found.unexplained_speed / limit
-    if design.axis("observer.pll_size") * part > PLL_SIZE_MAX:
-        text = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s"
-        yield f"{_entry(design, 'observer.pll_size')}: {text}; write about {PLL_SIZE_RECOMMENDED / part:.2g}"
+    reason = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s"
+    if axis("observer.pll_size") * part > PLL_SIZE_MAX:
+        path = "observer.pll_size"
+        yield axis.problem(path, reason, exactly(path, _short(PLL_SIZE_RECOMMENDED / part)))
     if found.unexplained_speed > SPEED_ERROR_MAX * design.sensorless.start_up.minimum_speed:
-        text = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s, sensorless"
-        yield f"{_entry(design, 'start_up.minimum_speed')}: {text}; write about {part / SPEED_ERROR_RECOMMENDED:.2g}"
+        path = "start_up.minimum_speed"
+        yield axis.problem(path, f"{reason}, sensorless", exactly(path, _short(part / SPEED_ERROR_RECOMMENDED)))
 
 
-def _observed_speed(design: Tuned, figures: Assessment) -> Iterator[str]:
+def _observed_speed(design: Tuned, figures: Assessment) -> Iterator[Problem]:
     for lock in figures.sensorless.locks:
         phase = lock.speed_margins.phase
         if phase is not None and phase < PHASE_MIN:
             text = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
-            yield f"{_entry(design, 'observer.speed_part')}: {text}, less than {PHASE_MIN:g}; lower it"
+            yield design.axis.problem(
+                "observer.speed_part", f"{text}, less than {PHASE_MIN:g}", lower("observer.speed_part")
+            )
     lock = figures.sensorless.locks[0]
     if lock.back_emf < design.axis("emf_check.spin_floor"):
-        text = f"the back-EMF of {lock.back_emf:.2g} V at {lock.speed:.3g} rad/s is below emf_check.spin_floor"
-        yield f"{_entry(design, 'start_up.minimum_speed')}: {text}; raise it"
+        reason = f"the back-EMF of {lock.back_emf:.2g} V at {lock.speed:.3g} rad/s is below emf_check.spin_floor"
+        yield design.axis.problem("start_up.minimum_speed", reason, higher("start_up.minimum_speed"))

@@ -11,7 +11,7 @@ from servo_msgs_py.text_file import TextFileError, parse_toml, read_toml
 
 from servo_tuning.checks import check
 from servo_tuning.configuration import Axis, Board, Configuration, Scales
-from servo_tuning.errors import ConfigError, remedies_tried
+from servo_tuning.errors import ConfigError, checking
 from servo_tuning.schema import unknown_name
 
 SERVO_TOML: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
@@ -76,7 +76,7 @@ def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
             raise unknown_name(f"[{name}]", name, known)
     feature_names = [flag.name.lower() for flag in catalogue.flags["features"]]
     fault_names = [flag.name.lower() for flag in catalogue.flags["faults"]]
-    with remedies_tried(table):
+    with checking(table):
         axes = tuple(Axis.of(table, name, feature_names, fault_names) for name in AXIS_NAMES)
         configuration = Configuration(Board.of(table.get("board", {})), axes, Scales.of(catalogue), table)
         check(configuration, catalogue)

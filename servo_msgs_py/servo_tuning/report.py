@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from servo_tuning.assessment import Assessment, assess
 from servo_tuning.configuration import Configuration
+from servo_tuning.errors import Problem
 from servo_tuning.field_weakening import field_weakening_text
 from servo_tuning.findings import K_V_T_MAX, findings
 from servo_tuning.layout import factor, hertz, notes, phase, table
@@ -29,7 +30,7 @@ class AxisReport:
 
     tuned: Tuned
     figures: Assessment
-    findings: Sequence[str]
+    findings: Sequence[Problem]
 
 
 def axis_reports(configuration: Configuration) -> list[AxisReport]:
@@ -68,7 +69,7 @@ def as_dict(reports: Iterable[AxisReport]) -> dict[str, Any]:
         report.figures.name: {
             "gains": {row.name: row._asdict() for row in report.tuned.rows()},
             **_plain(asdict(report.figures)),
-            "findings": list(report.findings),
+            "findings": list(map(str, report.findings)),
         }
         for report in reports
     }

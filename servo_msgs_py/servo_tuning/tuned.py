@@ -11,7 +11,7 @@ from servo_tuning.configuration import Axis, Board, Configuration
 from servo_tuning.constants import axis_constants
 from servo_tuning.control_loops import ControlLoops, control_loops, pi_of
 from servo_tuning.conversion import AxisConstants, Converter, PiRaw
-from servo_tuning.errors import ConfigError, lower, remedies_tried
+from servo_tuning.errors import ConfigError, Problem, checking, lower
 from servo_tuning.gains import Gains
 from servo_tuning.linear import spectral_radius
 from servo_tuning.loops import ShaftLoops
@@ -41,7 +41,7 @@ class Tuned(ControlLoops):
     constants: AxisConstants  # the integers
     used_sensorless: Sensorless | None  # observer of the back-EMF, PLL and start-up after rounding; None: unusable
     designed_sensorless: Sensorless | None  # the same before rounding
-    unusable: Mapping[str, ConfigError]  # parts of `PARTS` that the axis does not use and that cannot work: reason
+    unusable: Mapping[str, Problem]  # parts of `PARTS` that the axis does not use and that cannot work: reason
 
     @property
     def sensorless(self) -> Sensorless:
@@ -105,7 +105,7 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
     ConfigError
         If a number does not fit its format, or a loop is unstable.
     """
-    with remedies_tried(configuration.table):
+    with checking(configuration.table):
         result = _tuned(axis, configuration, {})
         _refuse_unstable(result)
         unstable = {
@@ -115,11 +115,11 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
         }
         for name, reason in unstable.items():
             if PARTS[name].used(axis):
-                raise reason
+                raise ConfigError(reason)
         return _tuned(axis, configuration, unstable) if unstable else result
 
 
-def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, ConfigError]) -> Tuned:
+def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, Problem]) -> Tuned:
     """Compute gains and integers of one axis without the optional parts that are unstable."""
     designed, constants, unusable = integers(axis, configuration, unstable)
     sensorless = None if SENSORLESS in unusable else Sensorless.of(axis, configuration.board)
@@ -149,8 +149,8 @@ def _used_sensorless(
 
 
 def integers(
-    axis: Axis, configuration: Configuration, off: Mapping[str, ConfigError]
-) -> tuple[Gains, AxisConstants, Mapping[str, ConfigError]]:
+    axis: Axis, configuration: Configuration, off: Mapping[str, Problem]
+) -> tuple[Gains, AxisConstants, Mapping[str, Problem]]:
     """Return designed gains, integers, and the reasons of the unused parts of `PARTS` that cannot work.
 
     Parameters
@@ -175,7 +175,7 @@ def integers(
             except ConfigError as reason:
                 if part.used(axis):
                     raise
-                unusable[name] = reason
+                unusable[name] = reason.problem
         constants |= part.off
     return designed, constants, unusable
 
@@ -186,7 +186,7 @@ def _refuse_unstable(design: Tuned) -> None:
     _refuse_unstable_shaft(design, observed=False)
 
 
-def _instability(design: Tuned, part: str) -> ConfigError | None:
+def _instability(design: Tuned, part: str) -> Problem | None:
     """Reason if a loop with an optional part is unstable."""
     try:
         if part == SPEED_OBSERVER:
@@ -196,8 +196,8 @@ def _instability(design: Tuned, part: str) -> ConfigError | None:
                 radius = spectral_radius(design.sensorless_shaft(turning).speed_alone)
                 how = f"at {turning:.3g} rad/s the sensorless speed loop"
                 _refuse_radius(design, "observer.speed_part", radius, how)
-    except ConfigError as reason:
-        return reason
+    except ConfigError as error:
+        return error.problem
     return None
 
 

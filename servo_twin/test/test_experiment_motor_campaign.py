@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 import pytest
-from servo_tuning.acceptance import refusal_of
+from servo_tuning.remedies import refusal_of
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.motor_campaign import (
     ACCELERATION_TIME,
@@ -61,10 +61,10 @@ def test_accepted_motors_enable_and_move() -> None:
 
 
 def test_a_refusal_that_no_entry_corrects_names_the_motor() -> None:
-    table, _, error = corrected(data_sheet(draw(SEED, REFUSED)))
-    assert error is not None
-    assert refusal_of(table) is not None
-    assert "correct motor.psi_m, motor.pole_pairs" in str(error)
+    found = corrected(data_sheet(draw(SEED, REFUSED)))
+    assert found.problem is not None
+    assert found.problem == refusal_of(found.table)
+    assert "correct motor.psi_m, motor.pole_pairs" in str(found.problem)
 
 
 def test_a_drive_that_does_not_work_is_a_failure() -> None:

@@ -43,7 +43,7 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
     if (blocks := blocks_of(table)) is not None:
         return Computed(blocks, [()] * len(blocks))
     reports = axis_reports(parse(table, catalogue))
-    return Computed([report.tuned.block for report in reports], [report.findings for report in reports])
+    return Computed([report.tuned.block for report in reports], [list(map(str, report.findings)) for report in reports])
 
 
 def read_blocks(memory: BoardWords, axes: Collection[int] = range(AXES)) -> dict[int, Block]:

@@ -15,6 +15,7 @@ from typing import Any, Final
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_tuning.errors import ConfigError
+from servo_tuning.remedies import explained
 
 from servo_bridge.tuning.plan import Computed, computed
 
@@ -85,7 +86,7 @@ def main() -> int:
     try:
         answer: dict[str, Any] = {"result": computed(Path(json.load(sys.stdin)), Catalogue.load())}
     except ConfigError as error:
-        answer = {"refused": str(error)}
+        answer = {"refused": str(explained(error))}
     except OSError as error:
         answer = {"refused": error.strerror or str(error)}
     json.dump(answer, sys.stdout)

@@ -18,7 +18,8 @@ from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.table_text import aligned
-from servo_tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError, Table
+from servo_tuning.remedies import explained
 
 from servo_twin.board import Board, SimulationError
 from servo_twin.board_access import VirtualBoardAccess
@@ -216,9 +217,7 @@ def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
     return found
 
 
-def tuned_table(
-    base: Mapping[str, Any], result: Identified, limits: Limits
-) -> tuple[dict[str, Any] | None, Sequence[str]]:
+def tuned_table(base: Mapping[str, Any], result: Identified, limits: Limits) -> tuple[Table | None, Sequence[str]]:
     """``servo.toml`` with feasible bandwidths, and lines with the margins; None and a reason if refused."""
     values = {name: estimate.value for name, estimate in result.estimates.values.items()}
     motor = {name: values[name] for name in ("l_d", "l_q", "psi_m", "pole_pairs", "inertia")}
@@ -230,7 +229,7 @@ def tuned_table(
         table = fitted(base, result.log.axis, limits, motor)
         design = tuned_axis(table, result.log.axis)
     except ConfigError as error:
-        return None, (f"no feasible configuration: {error}",)
+        return None, (f"no feasible configuration: {explained(error)}",)
     rows = []
     for name, margins in (
         ("current d", design.current_loop("d").margins()),

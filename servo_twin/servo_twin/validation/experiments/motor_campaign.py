@@ -9,20 +9,21 @@ import dataclasses
 import functools
 import math
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, AXIS_NAMES, Catalogue
 from servo_msgs_py.units import COUNTS_PER_TURN
-from servo_tuning.acceptance import refusal_of
+from servo_tuning import remedies
 from servo_tuning.assessment import assess
 from servo_tuning.configuration import Configuration
-from servo_tuning.errors import ConfigError, Remedy, value_in, with_value
-from servo_tuning.findings import Finding, findings
+from servo_tuning.errors import Problem, Remedy, Table
+from servo_tuning.findings import findings
 from servo_tuning.gains import Gains
 from servo_tuning.reading import parse
+from servo_tuning.remedies import Correction, refusal_of, with_value
 from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.tuned import tuned
 
@@ -39,10 +40,9 @@ from servo_twin.validation.experiments.rig import at_level, fresh_board, level
 NAME: Final = "motor-campaign"
 HELP: Final = """\
 Beyond the reference design. Random motors, both axes with the same one: data of a data sheet are written to servo.toml,
-everything else keeps its default. A refusal is corrected with the value of its remedy, and what a
-warning wants lower is lowered in steps of a fifth. Then a board with this
-configuration and this motor enables and moves by 20 rad. Criteria: every refused configuration has a remedy that is
-accepted, or contradicts a limit of the board; every accepted one drives: no fault, arrival, overshoot, duration."""
+everything else keeps its default. A refusal or a warning is corrected with the value of its remedy. Then a board with
+this configuration and this motor enables and moves by 20 rad. Criteria: every refused configuration has a remedy that
+is accepted, or contradicts a limit of the board; every accepted one drives: no fault, arrival, overshoot, duration."""
 
 COUNT: Final = 120
 """Default number of motors."""
@@ -67,10 +67,8 @@ FLUX: Final = (1e-4, 0.5)  # [V s]
 SPEED_USE: Final = 0.7  # limits.speed over the no-load speed
 ACCELERATION_USE: Final = 0.6  # limits.acceleration over the one by the current of the drive
 
-LOWERED: Final = 0.8  # factor on an entry that a warning wants to be lowered
-REMEDIES_MAX: Final = 20  # corrections of one configuration
-FACTS: Final = ("motor.", "friction.", "nominal_voltage")
-"""Entries that are properties of motor and supply: a remedy that changes them is not applied."""
+FIXED: Final = ("motor.", "friction.", "nominal_voltage", "observer.", "start_up.")
+"""Entries that are properties of motor and supply, or not used with an encoder: they are not changed."""
 
 MOVE: Final = 20.0  # [rad]
 TOLERANCE: Final = 6  # permitted distance from the target after the arrival [counts]
@@ -185,63 +183,39 @@ class Result:
         return f"{self.number}: {self.motor}: {what}"
 
 
-def corrected(table: Mapping[str, Any]) -> tuple[Mapping[str, Any], tuple[str, ...], ConfigError | None]:
-    """Apply remedies until the configuration is accepted.
-
-    Returns
-    -------
-    table : mapping
-        The last configuration.
-    refusals : tuple of str
-        Entries of the corrected refusals.
-    error : ConfigError or None
-        A refusal without an applicable remedy; None: accepted.
-    """
-    refusals: list[str] = []
-    for _ in range(REMEDIES_MAX):
-        error = refusal_of(table)
-        if error is None and (entry := _lowered(table)):
-            refusals.append(entry)
-            value = float(str(value_in(table, entry)))
-            table = _for_both_axes(table, entry, LOWERED * value)
-            continue
-        if error is None:
-            return table, tuple(refusals), None
-        error.try_with(table)
-        remedy = next((one for one in error.remedies if _applicable(one)), None)
-        if remedy is None or remedy.value is None:
-            break
-        refusals.append(error.entry)
-        table = _for_both_axes(table, remedy.entry, remedy.value)
-    return table, tuple(refusals), refusal_of(table)
+def corrected(table: Table) -> Correction:
+    """Apply remedies of refusals and warnings until nothing is refused."""
+    return remedies.corrected(table, _applicable, _problem, _for_both_axes)
 
 
-def _for_both_axes(table: Mapping[str, Any], entry: str, value: float) -> Mapping[str, Any]:
+def _for_both_axes(table: Table, entry: str, value: float) -> Table:
     owner, _, path = entry.partition(".")
     for name in AXIS_NAMES if owner in AXIS_NAMES else (owner,):
         table = with_value(table, f"{name}.{path}", value)
     return table
 
 
-def _lowered(table: Mapping[str, Any]) -> str:
-    """Entry that the first warning wants to be lowered; empty: none."""
+def _problem(table: Table) -> Problem | None:
+    """First refusal, or the first warning of an axis that an entry can correct."""
+    if refusal := refusal_of(table):
+        return refusal
     configuration = parse(table, Catalogue.load())
     design = tuned(configuration.axes[0], configuration)
-    wishes = (one.to_lower for one in findings(design, assess(design)) if isinstance(one, Finding))
-    return next(wishes, "")
+    return next((one for one in findings(design, assess(design)) if any(map(_applicable, one.remedies))), None)
 
 
 def _applicable(remedy: Remedy) -> bool:
-    path = remedy.entry.partition(".")[2]
-    return remedy.value is not None and not path.startswith(FACTS)
+    return not remedy.entry.partition(".")[2].startswith(FIXED)
 
 
 def run_trial(seed: int, number: int, plant: PlantConfig) -> Result:
     """Configure and drive one motor; `plant` has the other properties of the board."""
     motor = draw(seed, number)
-    table, refusals, error = corrected(data_sheet(motor))
-    if error is not None:
-        return Result(number, motor, refusals, str(error), not any(map(_applicable, error.remedies)))
+    found = corrected(data_sheet(motor))
+    table, refusals = found.table, tuple(one.entry for one in found.corrected)
+    if refusal := refusal_of(table):
+        refusal = remedies.tried(refusal, table, write=_for_both_axes)
+        return Result(number, motor, refusals, str(refusal), not any(map(_applicable, refusal.remedies)))
     result = Result(number, motor, refusals, "", contradicts=False)
     try:
         return _driven(result, parse(table, Catalogue.load()), _with_motor(plant, motor), seed)

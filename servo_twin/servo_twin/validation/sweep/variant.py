@@ -17,6 +17,7 @@ from typing import Any, Final
 from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue, axis_name
 from servo_tuning.errors import ConfigError
 from servo_tuning.reading import parse
+from servo_tuning.remedies import explained
 
 from servo_msgs_py import board_parameters
 from servo_twin.board import Board
@@ -114,7 +115,7 @@ class Variant:
         try:
             return blocks_of_configuration(parse(self.servo, catalogue))
         except ConfigError as error:
-            raise SimulationError(f"servo.toml: {error}") from None
+            raise SimulationError(f"servo.toml: {explained(error)}") from None
 
 
 def _children(node: object) -> Mapping[str, object]:
