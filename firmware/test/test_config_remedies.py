@@ -77,3 +77,18 @@ def test_bound_of_a_negative_value_is_on_the_accepted_side(k_1: float, remedy: s
     error = refusal_of(whole)
     assert error is not None
     assert f"axis1.observer.k_1 = {remedy}" in str(tried(error, whole))
+
+
+def test_entries_that_depend_on_each_other_are_changed_together() -> None:
+    """A heavy shaft: the position gain has to remain below the bandwidth that is low enough for it."""
+    whole = table(axis1__motor__inertia=5e-3, axis1__limits__acceleration=50.0, board__brake__energy=500.0)
+    whole = with_value(whole, "axis1.stop.time_max", 30.0)
+    error = refusal_of(whole)
+    assert error is not None
+    (remedy,) = tried(error, whole).remedies
+    assert (remedy.entry, remedy.also and remedy.also.entry) == (
+        "axis1.control.speed_bandwidth",
+        "axis1.control.position_gain",
+    )
+    assert remedy.text().count(" = ") == 2
+    assert refusal_of(applied(whole, remedy)) is None

@@ -187,5 +187,5 @@ def _stops(axis: Axis, scales: Scales) -> None:
     ramp = axis("limits.speed") / axis("limits.acceleration") + axis("timing.stop_max")
     if axis("stop.time_max") < ramp:
         reason = f"a ramp from the speed limit at limits.acceleration and timing.stop_max take {ramp:.3g} s"
-        changes = higher("stop.time_max"), higher("limits.acceleration"), lower("limits.speed")
-        raise axis.refused("stop.time_max", reason, *changes)
+        shorter = higher("limits.acceleration"), lower("limits.speed"), lower("timing.stop_max")
+        raise axis.refused("stop.time_max", reason, higher("stop.time_max"), *shorter)

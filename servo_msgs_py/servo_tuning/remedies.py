@@ -9,9 +9,10 @@ until nothing is refused.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
@@ -24,14 +25,15 @@ from servo_tuning.tuned import tuned
 
 CORRECTIONS_MAX: Final = 20  # of one table
 
-_STEPS: Final = (0.01, 0.02, 0.04, *(0.08 * k for k in range(1, 30)), *(2.4 + 0.25 * k for k in range(28)))
-"""Logarithms of the tried factors, 1 % .. 9000. An accepted range narrower than 8 % (28 % beyond a factor of 11) can be
-missed."""
+_STEPS: Final = (0.01, 0.02, 0.04, *(0.08 * k for k in range(1, 115)))
+"""Logarithms of the tried factors, 1 % .. 9000. An accepted range narrower than 8 % can be missed."""
 _BISECTIONS: Final = 12
 _DIGITS: Final = (3, 4, 6)  # significant digits of a value, the first that is accepted
 
 Check = Callable[[Table], Problem | None]
 """First problem of a table; None: accepted."""
+Good = Callable[[Problem | None, Sequence[Remedy]], bool]
+"""Whether the problem that remains after some changes is good enough."""
 Write = Callable[[Table, str, float], Table]
 """Copy of a table with another value of an entry."""
 
@@ -152,64 +154,62 @@ class _Search:
     entry: str  # that the problem is about
     check: Check
     write: Write
+    problems: dict[Remedy, Problem | None] = field(default_factory=dict)  # of the values tried so far
 
     def alone(self, remedy: Remedy) -> Remedy | None:
         """The remedy with a value that is accepted."""
-        return self._nearest(remedy, lambda problem, _: problem is None)
+        return self._nearest([remedy], lambda problem, _: problem is None)
 
     def next(self, remedy: Remedy) -> Remedy | None:
         """The remedy with a value with which another entry has a problem, not because of this change."""
-
-        def good(problem: Problem | None, direction: int) -> bool:
-            if problem is None:
-                return True
-            reverse = any(one.entry == remedy.entry and -direction in one.directions for one in problem.remedies)
-            return problem.entry != self.entry and not reverse
-
-        return self._nearest(remedy, good)
+        return self._nearest([remedy], self._is_another)
 
     def together(self, remedy: Remedy) -> Remedy | None:
-        """The remedy with a change of another entry, which has a problem because of this one."""
-        first = self._nearest(remedy, lambda problem, _: problem is None or problem.entry != self.entry)
-        if first is None:
-            return None
-        table = applied(self.table, first, self.write)
-        problem = self.check(table)
-        assert problem is not None, "a value that is accepted alone has been tried before"
-        search = replace(self, table=table, entry=problem.entry)
-        others = (search.alone(one) for one in problem.remedies if one.entry != remedy.entry)
-        also = next((one for one in others if one is not None), None)
-        exact = (EXACT,)  # each bound depends on the other value
-        return None if also is None else replace(first, directions=exact, also=replace(also, directions=exact))
+        """The remedy with a change of the entry that has a problem because of this one, by the same factor."""
+        first = self._nearest([remedy], lambda problem, _: problem is None or problem.entry != self.entry)
+        problem = None if first is None else self.problems[first]
+        if first is None or problem is None:
+            return first
+        others = [one for one in problem.remedies if one.entry != remedy.entry]
+        found = (self._nearest([replace(remedy, directions=first.directions), one], self._is_another) for one in others)
+        return next((one for one in found if one is not None), None)
 
-    def _nearest(self, remedy: Remedy, good: Callable[[Problem | None, int], bool]) -> Remedy | None:
-        """The remedy with the good value that is nearest to the present one; None if there is none."""
-        if remedy.value is not None:
-            return remedy
-        present = value_in(self.table, remedy.entry)
-        if isinstance(present, bool) or not isinstance(present, (int, float)) or not present:
-            return None
+    def _is_another(self, problem: Problem | None, changes: Sequence[Remedy]) -> bool:
+        """Whether none of the changes is refused, nor corrected by its reverse."""
+        if problem is None:
+            return True
+        reverse = {(one.entry, -one.directions[0]) for one in changes}
+        corrections = {(one.entry, direction) for one in problem.remedies for direction in one.directions}
+        return problem.entry != self.entry and not reverse & corrections
+
+    def _nearest(self, changes: Sequence[Remedy], good: Good) -> Remedy | None:
+        """The changes with good values, at the smallest common factor; None if there are none."""
+        if all(one.value is not None for one in changes):
+            return changes[0]
         found = []
-        for direction in remedy.directions:
-            value = self._value(remedy, direction, float(present), good)
-            if value is not None:
-                distance = abs(math.log(value / present)) if value / present > 0.0 else math.inf
-                found.append((distance, replace(remedy, directions=(direction,), value=value)))
+        for directions in itertools.product(*(one.directions for one in changes)):
+            directed = [replace(one, directions=(way,)) for one, way in zip(changes, directions, strict=True)]
+            if (nearest := self._directed(directed, good)) is not None:
+                found.append(nearest)
         return min(found, key=lambda pair: pair[0])[1] if found else None
 
-    def _value(
-        self, remedy: Remedy, direction: int, present: float, good: Callable[[Problem | None, int], bool]
-    ) -> float | None:
-        problems: dict[float, Problem | None] = {}
+    def _directed(self, changes: Sequence[Remedy], good: Good) -> tuple[float, Remedy] | None:
+        """Logarithm of the smallest factor with good values, and these values."""
+        present = [value_in(self.table, one.entry) for one in changes]
+        if any(isinstance(value, bool) or not isinstance(value, (int, float)) or not value for value in present):
+            return None
 
-        def accepted(value: float) -> bool:
-            if value not in problems:
-                problems[value] = self.check(applied(self.table, replace(remedy, value=value), self.write))
-            return good(problems[value], direction)
+        def accepted(remedy: Remedy) -> bool:
+            if remedy not in self.problems:
+                self.problems[remedy] = self.check(applied(self.table, remedy, self.write))
+            return good(self.problems[remedy], changes)
 
-        def at(log: float) -> float:
-            value = present * math.exp(direction * log)
-            return float((math.ceil if direction > 0 else math.floor)(value)) if remedy.whole else value
+        def at(log: float) -> Remedy:
+            values = [
+                float(str(value)) * math.exp(one.directions[0] * log)
+                for value, one in zip(present, changes, strict=True)
+            ]
+            return _with_values(changes, values)
 
         low = 0.0
         for high in _STEPS:
@@ -221,12 +221,29 @@ class _Search:
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
             low, high = (low, middle) if accepted(at(middle)) else (middle, high)
-        return next(filter(accepted, _short(at(high), direction)), at(high))
+        return high, next(filter(accepted, _short(changes, at(high))), at(high))
 
 
-def _short(value: float, direction: int) -> Iterator[float]:
-    """Values with few digits next to a value, the second of each pair beyond it."""
+def _with_values(changes: Sequence[Remedy], values: Sequence[float]) -> Remedy:
+    """The changes as one remedy; a whole number is rounded in its direction."""
+    remedy: Remedy | None = None
+    for one, value in reversed([*zip(changes, values, strict=True)]):
+        way = one.directions[0]
+        whole = float((math.ceil if way > 0 else math.floor)(value)) if one.whole else value
+        # of two values each bound depends on the other one
+        remedy = replace(one, value=whole, also=remedy, directions=(way,) if len(changes) == 1 else (EXACT,))
+    assert remedy is not None
+    return remedy
+
+
+def _short(changes: Sequence[Remedy], remedy: Remedy) -> Iterator[Remedy]:
+    """Values with few digits next to those of a remedy, the second of each pair beyond them."""
+    values = [one.value for one in (remedy, remedy.also) if one is not None and one.value is not None]
     for digits in _DIGITS:
-        nearest = float(f"{value:.{digits}g}")
-        step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
-        yield from (nearest, float(f"{nearest + direction * math.copysign(step, value):.{digits}g}"))
+        nearest = [float(f"{value:.{digits}g}") for value in values]
+        steps = [10.0 ** (math.floor(math.log10(abs(value))) - digits + 1) for value in values]
+        beyond = [
+            float(f"{value + one.directions[0] * math.copysign(step, value):.{digits}g}")
+            for one, value, step in zip(changes, nearest, steps, strict=True)
+        ]
+        yield from (_with_values(changes, nearest), _with_values(changes, beyond))

@@ -66,7 +66,7 @@ def check_rotor_search(axis: Axis, board: Board) -> None:
     maximum = axis("limits.current")
     if axis("rotor_search.current") > maximum:
         reason = f"above the current limit of {maximum:g} A (limits.current)"
-        raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"))
+        raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"), higher("limits.current"))
     saliency = axis("motor.l_q") - axis("motor.l_d")
     if axis("rotor_search.current") * saliency > SALIENT_USE * axis("motor.psi_m"):
         largest = SALIENT_USE * axis("motor.psi_m") / saliency
