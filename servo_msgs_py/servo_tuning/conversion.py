@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from servo_tuning.configuration import Axis, Board, Scales
-from servo_tuning.errors import Remedy, either, higher
+from servo_tuning.errors import Remedy, higher, lower
 from servo_tuning.formats import GAIN, FixedPoint, fixed_point
 from servo_tuning.gains import Pi
 
@@ -50,6 +50,11 @@ def pi_raw(axis: Axis, name: str, gains: Pi, scale: float, *remedies: Remedy | s
     )
 
 
+def _towards(format_: FixedPoint, entry: str, value: float) -> Remedy:
+    """Remedy of a number that is proportional to an entry."""
+    return lower(entry) if abs(value) > format_.maximum else higher(entry)
+
+
 @dataclass(frozen=True)
 class Converter:
     """Conversion of the values of one axis."""
@@ -60,13 +65,14 @@ class Converter:
 
     def at(self, format_: FixedPoint, path: str, scale: float) -> int:
         """Raw number of an entry of the axis times `scale`."""
-        change = self.axis.named(either(path))
-        return format_.raw(self.axis.entry(path), self.axis(path) * scale, change, given=self.axis(path))
+        value = self.axis(path) * scale
+        change = self.axis.named(_towards(format_, path, value))
+        return format_.raw(self.axis.entry(path), value, change, given=self.axis(path))
 
     def board_at(self, format_: FixedPoint, key: str, scale: float) -> int:
         """Raw number of an entry of [board] times `scale`."""
-        entry = f"board.{key}"
-        return format_.raw(entry, self.board(key) * scale, either(entry), given=self.board(key))
+        entry, value = f"board.{key}", self.board(key) * scale
+        return format_.raw(entry, value, _towards(format_, entry, value), given=self.board(key))
 
     def ticks(self, path: str) -> int:
         """Raw number of a time, in slow ticks."""

@@ -165,14 +165,20 @@ class _Search:
         return self._nearest([remedy], self._is_another)
 
     def together(self, remedy: Remedy) -> Remedy | None:
-        """The remedy with a change of the entry that has a problem because of this one, by the same factor."""
+        """The remedy with a change of the entry that has a problem because of this one, if possible by one factor."""
         first = self._nearest([remedy], lambda problem, _: problem is None or problem.entry != self.entry)
         problem = None if first is None else self.problems[first]
         if first is None or problem is None:
             return first
         others = [one for one in problem.remedies if one.entry != remedy.entry]
-        found = (self._nearest([replace(remedy, directions=first.directions), one], self._is_another) for one in others)
-        return next((one for one in found if one is not None), None)
+        for one in others:
+            if pair := self._nearest([replace(remedy, directions=first.directions), one], self._is_another):
+                return pair
+        after = _Search(applied(self.table, first, self.write), problem.entry, self.check, self.write)
+        for one in others:
+            if second := after.alone(one):
+                return replace(first, directions=(EXACT,), also=replace(second, directions=(EXACT,)))
+        return None
 
     def _is_another(self, problem: Problem | None, changes: Sequence[Remedy]) -> bool:
         """Whether none of the changes is refused, nor corrected by its reverse."""
