@@ -43,6 +43,8 @@ from servo_bridge import tool
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() * 37 % 100
 MARK_VARIABLE = "SERVO_TEST_MARK"
+PATIENCE = 45.0
+"""Time after which a wait fails [s]: a test that hangs. What must happen in time is asserted in board time."""
 FAST_BAUD = 1_000_000
 """Baud rate of tests that are independent of the line speed: reading the variable table takes 0.5 s, not 2.5 s."""
 BOARD, BRIDGE, TWIN, TOOL = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node", "servo_bridge.tool"
@@ -298,7 +300,7 @@ class User:
         rclpy.shutdown(context=self.context)
 
     # ---- actions
-    def until(self, condition: Callable[[], object], timeout: float = 15.0, what: str = "") -> None:
+    def until(self, condition: Callable[[], object], timeout: float = PATIENCE, what: str = "") -> None:
         """Spin the executor until the condition holds; fail after `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while not condition():
@@ -322,7 +324,7 @@ class User:
 
     def call(self, client: Any, request: Any) -> tuple[bool, str]:
         future = client.call_async(request)
-        self.until(future.done, 5.0, "the service does not answer")
+        self.until(future.done, what="the service does not answer")
         return bool(future.result().success), str(future.result().message)
 
     def enable(self, on: bool = True) -> tuple[bool, str]:
@@ -338,7 +340,7 @@ class User:
         """Set ``board_parameters`` of the bridge, as ``ros2 param set`` does."""
         parameter = Parameter("board_parameters", value=list(texts)).to_parameter_msg()
         future = self._set_parameters.call_async(SetParameters.Request(parameters=[parameter]))
-        self.until(future.done, 5.0, "the service does not answer")
+        self.until(future.done, what="the service does not answer")
         result = future.result().results[0]
         return bool(result.successful), str(result.reason)
 
@@ -375,7 +377,7 @@ class User:
             messages = self.messages["/servo/snapshot"][start:]
             return bool(messages) and board_time(messages[-1]) - board_time(messages[0]) >= duration
 
-        self.until(passed, duration + 10.0)
+        self.until(passed, duration + PATIENCE)
         return start
 
     def rejections(self) -> list[str]:
@@ -384,7 +386,7 @@ class User:
 
     def until_rejected(self, before: int) -> str:
         """Wait for more than `before` rejections and return the last one."""
-        self.until(lambda: len(self.rejections()) > before, 5.0, "not refused")
+        self.until(lambda: len(self.rejections()) > before, what="not refused")
         return self.rejections()[-1]
 
     def status(self, name: str) -> DiagnosticStatus:
@@ -432,8 +434,8 @@ def followed_board(
             chain.board()
             chain.bridge(telemetry_rate=telemetry_rate)
             chain.twin()
-            user.until(user.connected, 30.0, "the bridge is not connected")
-            user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+            user.until(user.connected, what="the bridge is not connected")
+            user.until(lambda: user.last("/twin/healthy") is True, what="the twin is not healthy")
             yield user
         finally:
             chain.end()

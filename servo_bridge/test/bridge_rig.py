@@ -268,7 +268,7 @@ class Rig:
         )
 
     # ---- steps
-    def until(self, condition: Callable[[], object], timeout: float = 10.0) -> None:
+    def until(self, condition: Callable[[], object], timeout: float = 45.0) -> None:
         """Spin the executor until the condition holds; fail after `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while not condition():

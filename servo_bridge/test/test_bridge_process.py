@@ -106,7 +106,7 @@ class Bridge:
         self.seen[name] = []
         self.user.create_subscription(kind, name, self.seen[name].append, qos)
 
-    def until(self, condition: Callable[[], object], timeout: float = 20.0) -> None:
+    def until(self, condition: Callable[[], object], timeout: float = 45.0) -> None:
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, f"not within {timeout} s; log:\n{self.log()}"
