@@ -20,6 +20,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board_memory import BoardError, BoardMemory, SimulationError
@@ -368,10 +369,11 @@ class Board:
             )
         return self._dtype
 
-    def si(self, log: NDArray[np.void]) -> dict[str, NDArray[np.float64]]:
-        """Recorded snapshots as one array of SI values per variable, by catalogue name."""
-        names = log.dtype.names or ()
-        return {name: log[name] * float(self.catalogue[name].lsb) for name in names}
+    def si(self, log: NDArray[np.void]) -> Trace:
+        """Successive recorded snapshots in SI, by catalogue name; `Trace.time` is the time since reset."""
+        columns = {name: log[name] * float(self.catalogue[name].lsb) for name in log.dtype.names or ()}
+        first = int(log["tick"][0]) // SLOW_PERIODS if log.size else 0
+        return Trace(PERIOD_NS * SLOW_PERIODS * 1e-9, columns, first)
 
     # ---- firmware variables -----------------------------------------------------------------------------------------
 

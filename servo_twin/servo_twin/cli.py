@@ -14,6 +14,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.runtime.program import program
 from servo_msgs_py.table_text import aligned
+from servo_msgs_py.trace import Trace
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -21,7 +22,7 @@ from servo_twin.diagnosis import command as diagnose
 from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
-from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
+from servo_twin.simulation import MoveResult, SimulationError, enable, move, turns
 from servo_twin.validation.experiments import command as experiment
 from servo_twin.validation.sweep import command as sweep
 from servo_twin.validation.sweep import robust_command
@@ -95,11 +96,10 @@ def _move(args: argparse.Namespace) -> int:
     axes = range(AXES) if args.axis is None else [args.axis - 1]
     seconds = args.time if args.time is not None else 1.0 + 2.5 * abs(args.turns) / 45.0
     with _board(args) as board:
-        search = enable(board)
+        search_time = float(board.si(enable(board)).time[-1])
         results, log = move(board, {axis: turns(args.turns) for axis in axes}, seconds)
         if args.plot:
-            _plot(board, log, [axis_name(axis) for axis in axes], args.plot)
-    search_time = float(time_axis(search)[-1])
+            _plot(board.si(log), [axis_name(axis) for axis in axes], args.plot)
     if args.json:
         print(json.dumps({"search_time": search_time, "moves": [asdict(result) for result in results]}, indent=2))
     else:
@@ -120,19 +120,15 @@ def _print_moves(results: Sequence[MoveResult]) -> None:
     print("\n".join(aligned(rows, "<>")))
 
 
-def _plot(board: Board, log: object, names: Sequence[str], path: Path) -> None:
-    import numpy as np
-
-    rows = np.asarray(log)
-    values, times = board.si(rows), time_axis(rows)
+def _plot(trace: Trace, names: Sequence[str], path: Path) -> None:
     figure = new_figure(6.5 * len(names), 8.0, 120)
     plots = figure.subplots(3, len(names), sharex=True, squeeze=False)
     for column, name in enumerate(names):
         for plot, quantity, unit in zip(
             plots[:, column], ("position", "speed", "i_q"), ("rad", "rad/s", "A"), strict=True
         ):
-            plot.plot(times, values[f"{name}.{quantity}_ref"], color="0.6", label="set-point")
-            plot.plot(times, values[f"{name}.{quantity}"], label="shaft" if quantity != "i_q" else "measured")
+            plot.plot(trace.time, trace[f"{name}.{quantity}_ref"], color="0.6", label="set-point")
+            plot.plot(trace.time, trace[f"{name}.{quantity}"], label="shaft" if quantity != "i_q" else "measured")
             plot.set_ylabel(f"{quantity} [{unit}]")
             plot.grid(alpha=0.3)
         plots[0, column].set_title(name)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board, SimulationError
 
-__all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move", "record", "time_axis"]
+__all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move", "record"]
 
 _BOOT = 0.03  # reset to STOP [s]
 SEARCH_MAX = 6.0  # rotor search of both axes [s]
@@ -30,11 +30,6 @@ class MoveResult:
     steady_state: int  # largest distance from the target over the last quarter of the recording [counts]
     speed_max: float  # largest magnitude in the recording [rad/s]
     i_q_max: float  # largest magnitude in the recording [A]
-
-
-def time_axis(log: NDArray[np.void]) -> NDArray[np.float64]:
-    """Time since reset of recorded snapshots [s]."""
-    return np.asarray(log["tick"], dtype=np.float64) * (PERIOD_NS * 1e-9)
 
 
 def record(board: Board, seconds: float) -> NDArray[np.void]:
@@ -112,10 +107,9 @@ def _measure(board: Board, log: NDArray[np.void], axis: int, start: int, target:
     position = np.asarray(log[f"{name}.position"], dtype=np.int64)
     direction = 1 if target >= start else -1
     outside = np.nonzero(np.abs(position - target) > tolerance)[0]
-    times = time_axis(log)
     arrived = outside.size == 0 or outside[-1] + 1 < position.size
-    settling = float(times[outside[-1] + 1] - times[0]) if outside.size and arrived else (0.0 if arrived else None)
     si = board.si(log)
+    settling = float(si.time[outside[-1] + 1] - si.time[0]) if outside.size and arrived else (0.0 if arrived else None)
     return MoveResult(
         name,
         target,

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -61,21 +62,22 @@ CURRENT_TOLERANCE: Final = 0.05
 SHORT: Final = 1.0  # stop category
 
 
+_SPEEDS: Final = tuple(f"{axis_name(axis)}.omega" for axis in range(AXES))
+
+
 @dataclass(frozen=True)
 class Stop:
-    """Stop of both axes, one entry per slow tick."""
+    """Stop of both axes."""
 
-    u_dc: NDArray[np.float64]  # bus voltage [V]
-    omega: NDArray[np.float64]  # true speeds, shape (ticks, axes) [rad/s]
-    dissipated: NDArray[np.float64]  # energy dissipated in the resistor [J]
+    trace: Trace  # true bus voltage ``u_dc`` [V], speeds `_SPEEDS` [rad/s], energy ``dissipated`` in the resistor [J]
     flags: frozenset[str]  # reported limits and faults
 
     @property
     def seconds(self) -> float | None:
         """Time to standstill of both axes [s]."""
-        moving = np.nonzero(np.abs(self.omega).max(axis=1) > STANDSTILL)[0]
+        moving = np.nonzero(np.abs(self.trace.table(_SPEEDS)).max(axis=1) > STANDSTILL)[0]
         last = int(moving[-1]) + 1 if moving.size else 0
-        return None if last == self.u_dc.size else last * TICK
+        return None if last == len(self.trace) else last * TICK
 
 
 def _run_up(board: Board, speed: float) -> None:
@@ -105,8 +107,8 @@ def stop(plant: PlantConfig, seed: int, speed: float, resistor: float) -> Stop:
             rows.append((one.u_dc, one.omega_m, other.omega_m, one.e_brake))
             if max(abs(one.omega_m), abs(other.omega_m)) < 0.1 and len(rows) * TICK > 0.2:
                 break
-    table = np.array(rows)
-    return Stop(table[:, 0], table[:, 1:3], table[:, 3], frozenset(flags))
+    columns = zip(("u_dc", *_SPEEDS, "dissipated"), np.array(rows).T, strict=True)
+    return Stop(Trace(TICK, dict(columns), first=1), frozenset(flags))
 
 
 def kinetic(plant: PlantConfig, speed: float) -> float:
@@ -205,7 +207,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, over_voltage())
     judge = Judge("resistor: ", NOT_SHOWN)
     yield from _rows_bus(judge, plant, speed, with_one, _with_resistor(plant, speed, resistor))
-    yield judge("energy dissipated in the resistor", with_one.dissipated[-1], "J", 0.0, kinetic(plant, speed))
+    yield judge("energy dissipated in the resistor", with_one.trace["dissipated"][-1], "J", 0.0, kinetic(plant, speed))
     judge = Judge("budget: ", NOT_SHOWN)
     permitted = (BUDGET + POWER * budget.seconds) * (
         RESISTOR / resistor
@@ -215,10 +217,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge("recovery time", budget.recovery_time, "s", 0.95 * recovery_time, 1.05 * recovery_time)
     curves: list[Curve] = []
     for name, result in (("no resistor", without), ("resistor", with_one)):
-        time = TICK * np.arange(1, result.u_dc.size + 1, dtype=np.float64)
-        curves.append(Curve(f"bus, {name} [V]", time, result.u_dc))
-        speeds = [(f"{axis_name(axis)}, {name} [100 rpm]", result.omega[:, axis]) for axis in range(AXES)]
-        curves += [Curve(label, time, omega / RPM / 100.0, "--") for label, omega in speeds]
+        trace = result.trace
+        curves.append(Curve(f"bus, {name} [V]", trace.time, trace["u_dc"]))
+        for axis, of in enumerate(_SPEEDS):
+            curves.append(Curve(f"{axis_name(axis)}, {name} [100 rpm]", trace.time, trace[of] / RPM / 100.0, "--"))
     yield Panel("both axes brake simultaneously", "time [s]", "bus [V], speed [100 rpm]", curves)
     for axis in range(AXES):
         yield from _short(plant, seed, axis)
@@ -248,7 +250,12 @@ def _returned(axis: AxisPlant, speed: float) -> float:
 def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, result: Stop, maximum: float) -> Iterator[Row]:
     faults = {flag.name for flag in Catalogue.load().flags["faults"]}
     yield judge(
-        "highest bus voltage", result.u_dc.max(), "V", plant.bus.u_source, maximum, reference="below the limit, 33 V"
+        "highest bus voltage",
+        result.trace["u_dc"].max(),
+        "V",
+        plant.bus.u_source,
+        maximum,
+        reference="below the limit, 33 V",
     )
     yield judge.none("faults", len(result.flags & faults), reference="none")
     yield judge("stop time of both axes", result.seconds, "s", 0.0, _longest(plant, speed))

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
@@ -111,18 +111,17 @@ class LoadDrops:
 
     drops: list[tuple[float, ...]]
     """By axis: first enable, second enable, disable, and switch-off by the enable input [rad]."""
-    time: NDArray[np.float64]  # of the first enable [s]
-    motions: NDArray[np.float64]  # motion of the shafts during the first enable, one row per axis [rad]
+    motions: Trace  # motion of the shaft of each axis during the first enable [rad]
 
 
-def _motions(board: Board, seconds: float) -> NDArray[np.float64]:
-    """Motion of the shafts from now on, one row per axis, every millisecond [rad]."""
+def _motions(board: Board, seconds: float) -> Trace:
+    """Motion of the shafts from now on, one column per axis, every millisecond [rad]."""
     start = [board.truth(axis).theta_m for axis in range(AXES)]
     motions = []
     for _ in range(round(seconds / 0.001)):
         board.run(0.001)
         motions.append([board.truth(axis).theta_m - start[axis] for axis in range(AXES)])
-    return np.asarray(np.array(motions).T)
+    return Trace(0.001, dict(zip(map(axis_name, range(AXES)), np.array(motions).T, strict=True)), first=1)
 
 
 def load_of(plant: PlantConfig, axis: int) -> float:
@@ -157,9 +156,10 @@ def measure_drops(plant: PlantConfig, seed: int, angle: float) -> LoadDrops:
             board.inject(CutWire(axis, "enable"))
         fault = _motions(board, 0.2)
     drops = [
-        tuple(float(np.abs(motions[axis]).max()) for motions in (first, again, off, fault)) for axis in range(AXES)
+        tuple(float(np.abs(motions[axis_name(axis)]).max()) for motions in (first, again, off, fault))
+        for axis in range(AXES)
     ]
-    return LoadDrops(drops, 0.001 * np.arange(1, first.shape[1] + 1), first)
+    return LoadDrops(drops, first)
 
 
 def fault_drop(plant: PlantConfig, axis: int) -> float:
@@ -316,9 +316,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for what, right in cut_wires(plant, seed).items():
         yield Judge("wire cut: ").true(what, right)
     curves = [
-        Curve(f"{axis_name(axis)}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.time, np.degrees(h.motions[axis]))
+        Curve(f"{name}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.motions.time, np.degrees(angle))
         for k, h in enumerate(load_drops)
-        for axis in range(AXES)
+        for name, angle in h.motions.columns.items()
     ]
     yield Panel("hanging load on the shaft: first enable", "time [s]", "shaft [deg]", curves)
     yield f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms"
