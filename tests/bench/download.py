@@ -23,6 +23,7 @@ from servo_bridge.telemetry import telemetry_variables  # noqa: E402
 from servo_bridge.wire.link import Link, LinkConfig, LinkState  # noqa: E402
 from servo_bridge.wire.session import Session  # noqa: E402
 from servo_msgs_py.catalogue import Catalogue  # noqa: E402
+from servo_msgs_py.table_text import aligned  # noqa: E402
 
 BAUDS: Final = (115_200, 1_000_000)
 NAMES: Final = ("tick", "axis1.i_q", "axis1.i_d", "axis2.i_q", "axis2.i_d")
@@ -92,12 +93,14 @@ def download(link: Link, catalogue: Catalogue, samples: list[float], baud: int, 
 def main() -> int:
     """Measure, print a table, write ``out/bench/download.json``."""
     rows = [measure(baud) for baud in BAUDS]
-    print("    baud  bytes  download [s]  on the wire [s]  ratio  telemetry during it, without [1/s]")
+    cells = [
+        ["baud", "bytes", "download [s]", "on the wire [s]", "ratio", "telemetry during it [1/s]", "without [1/s]"]
+    ]
     for row in rows:
-        print(
-            f"{row['baud']:8} {row['bytes']:6} {row['seconds']:13.2f} {row['wire_seconds']:16.2f} {row['ratio']:6.2f}"
-            f" {row['samples_per_s']:22.0f} {row['usual_samples_per_s']:8.0f}"
-        )
+        times = (f"{row[name]:.2f}" for name in ("seconds", "wire_seconds", "ratio"))
+        rates = (f"{row[name]:.0f}" for name in ("samples_per_s", "usual_samples_per_s"))
+        cells.append([str(row["baud"]), str(row["bytes"]), *times, *rates])
+    print("\n".join(aligned(cells, ">")))
     print("aims: ratio 1.1 at 115200 baud, telemetry at half its rate")
     out = ROOT / "out" / "bench" / "download.json"
     out.parent.mkdir(parents=True, exist_ok=True)

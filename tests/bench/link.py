@@ -28,6 +28,7 @@ from servo_bridge.freemaster.client import Client  # noqa: E402
 from servo_bridge.freemaster.commands import ScopeSlot  # noqa: E402
 from servo_bridge.freemaster.line import Line  # noqa: E402
 from servo_bridge.wire.serial_port import SerialPort  # noqa: E402
+from servo_msgs_py.table_text import aligned  # noqa: E402
 
 BAUDS = (115_200, 1_000_000)
 VARIABLES = (8, 24)
@@ -103,12 +104,12 @@ def measure(baud: int, variables: int) -> dict[str, Any]:
 def main() -> int:
     """Measure, print a table, write ``out/bench/link.json``."""
     rows = [measure(baud, variables) for baud in BAUDS for variables in VARIABLES]
-    print("    baud  variables  round trip [ms]  losses  a loss costs p50, p95 [ms]  in round trips")
+    cells = [["baud", "variables", "losses", "round trip [ms]", "a loss costs p50 [ms]", "p95 [ms]", "in round trips"]]
     for row in rows:
-        print(
-            f"{row['baud']:8} {row['variables']:10} {row['round_trip_ms']:16.2f} {row['losses']:7}"
-            f" {row['cost_p50_ms']:18.2f} {row['cost_p95_ms']:7.2f} {row['round_trips']:15.1f}"
-        )
+        times = (f"{row[name]:.2f}" for name in ("round_trip_ms", "cost_p50_ms", "cost_p95_ms"))
+        counts = (str(row[name]) for name in ("baud", "variables", "losses"))
+        cells.append([*counts, *times, f"{row['round_trips']:.1f}"])
+    print("\n".join(aligned(cells, ">")))
     print("aim below 3 round trips at 115200 baud")
     out = ROOT / "out" / "bench" / "link.json"
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -23,6 +23,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from chain import Chain, User, ros_user, rows_of  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from servo_msgs_py.convert import applied_from_message  # noqa: E402
+from servo_msgs_py.table_text import aligned  # noqa: E402
 from servo_msgs_py.units import PERIOD_NS  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
@@ -138,13 +139,14 @@ def measure(baud: int, telemetry_rate: float, count: int) -> dict[str, Any]:
 def main() -> int:
     """Measure, print a table, write ``out/bench/telemetry.json``."""
     rows = [measure(*case) for case in CASES]
-    print("    baud  samples/s   bytes/s  of the wire  set-points  to effect p50, p99, largest [ms]  CPU of the bridge")
+    heads = ["baud", "samples/s", "bytes/s", "of the wire", "set-points", "to effect p50 [ms]", "p99", "largest"]
+    cells = [[*heads, "CPU of the bridge"]]
     for row in rows:
-        p50, p99, largest = (row[f"latency_{name}_ms"] for name in ("p50", "p99", "max"))
-        print(
-            f"{row['baud']:8} {row['samples_per_s']:10.0f} {row['bytes_per_s']:9.0f} {row['part_of_the_wire']:12.0%}"
-            f" {row['set_points']:11} {p50:19.1f} {p99:5.1f} {largest:7.1f} {row['cpu_of_a_core']:18.0%}"
-        )
+        rates = (f"{row[name]:.0f}" for name in ("baud", "samples_per_s", "bytes_per_s"))
+        delays = (f"{row[f'latency_{name}_ms']:.1f}" for name in ("p50", "p99", "max"))
+        part, load = (f"{row[name]:.0%}" for name in ("part_of_the_wire", "cpu_of_a_core"))
+        cells.append([*rates, part, str(row["set_points"]), *delays, load])
+    print("\n".join(aligned(cells, ">")))
     print(f"aims {AIMS}")
     stream = streamed(115200)
     taken = [stream[f"axis{n}.points_taken"] / SECONDS for n in (1, 2)]
