@@ -7,20 +7,21 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_bridge.arbiter import Arbiter, AxisStatus
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_points import JointSetPoint
+from servo_bridge.telemetry import AxisStatus, Snapshot
 from servo_bridge.trajectory.check import require
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.follower import AxisReport, Follower, PathEvents, Plan
+from servo_bridge.trajectory.follower import Follower, PathEvents, Plan
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory_limits import path_limits
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name, numbers
-from servo_msgs_py.convert import state_label
+from servo_msgs_py.convert import AppliedCommand, state_label
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.robot_description import Motor
 from servo_msgs_py.timed_points import periods_ahead
@@ -69,7 +70,7 @@ class PathSimulation:
         self.arbiter.queue.follow(self.follower)
         self.streamer = Streamer(joints, self.follower, stream_lead(115_200), delay_max)
         self._unacknowledged: list[tuple[CommandWrite, str | None]] = []
-        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.errors.append)
+        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.errors.append, self._on_applied)
         enable(board)
         constants = [numbers(board.read(f"{axis_name(axis)}.torque_constant"))[0] for axis in range(AXES)]
         self.arbiter.set_torque_constants(constants)
@@ -193,20 +194,20 @@ class PathSimulation:
             self.run(SAMPLE_NS * 1e-9)
 
     def _sample(self, row: np.void) -> None:
-        axes, reports = [], []
+        axes = []
         for axis in range(AXES):
             name = axis_name(axis)
             label = state_label(CATALOGUE, int(row[f"{name}.state"]), int(row[f"{name}.substate"]))
-            reference = int(row[f"{name}.position_ref"])
-            position = int(row[f"{name}.position"])
+            reference, position = int(row[f"{name}.position_ref"]), int(row[f"{name}.position"])
             axes.append(AxisStatus(label, label == "RUN/SPIN", label == "FAULT", position, reference))
-            reports.append(AxisReport(reference * COUNT, self.arbiter.queue.follows_points(axis)))
-        tick = int(row["tick"])
-        self.arbiter.update_axes(axes)
-        self.follower.on_sample(tick, reports)
+        applied = int(row["applied_tick"]), int(row["applied_count"])
+        snapshot = Snapshot(int(row["tick"]), 0, 0, {}, *applied, tuple(axes), ())
+        self.arbiter.on_sample(snapshot)
         self.streamer.advance(self.now)
-        applied = self.dispatcher.on_sample(tick, int(row["applied_tick"]), int(row["applied_count"]))
-        if applied is not None and applied.variable == "cmd.points":
+        self.dispatcher.on_sample(snapshot)
+
+    def _on_applied(self, applied: AppliedCommand) -> None:
+        if applied.variable == "cmd.points":
             self.streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
 
     def table(self) -> NDArray[np.void]:

@@ -52,7 +52,7 @@ _PIECE_NS: Final = 1_000_000
 
 CATALOGUE: Final = Catalogue.load()
 
-_SUPERVISOR: Final = "servo_bridge.supervisor"
+_ASSEMBLY: Final = "servo_bridge.assembly"
 _LINK: Final = "servo_bridge.wire.link"
 
 
@@ -304,8 +304,9 @@ class SimulatedNode:
         return self.logger
 
     def get_clock(self) -> Any:
-        now = SimpleNamespace(nanoseconds=self._world.now_ns + WALL_NS)
-        return SimpleNamespace(now=lambda: now, ros_time_is_active=False)
+        return SimpleNamespace(
+            now=lambda: SimpleNamespace(nanoseconds=self._world.now_ns + WALL_NS), ros_time_is_active=False
+        )
 
     def create_publisher(self, _kind: Any, name: str, _qos: Any) -> _Publisher:
         return _Publisher(self, name)
@@ -384,10 +385,10 @@ class BridgeSimulation:
             if name.startswith("servo_bridge.") and getattr(module, "time", None) is time:
                 self._replace(name, "time", steady)
         self._replace(_LINK, "Line", partial(Line, clock=clock_ns))
-        self._replace(_SUPERVISOR, "WallClock", partial(WallClock, steady=clock_ns))
-        self._replace(_SUPERVISOR, "Follower", partial(Follower, clock=steady.monotonic))
-        self._replace(_SUPERVISOR, "action_interfaces", _nothing)
-        self._replace(_SUPERVISOR, "TuningService", mock.MagicMock())  # it has a thread
+        self._replace("servo_bridge.board_time", "WallClock", partial(WallClock, steady=clock_ns))
+        self._replace(_ASSEMBLY, "Follower", partial(Follower, clock=steady.monotonic))
+        self._replace(_ASSEMBLY, "action_interfaces", _nothing)
+        self._replace(_ASSEMBLY, "TuningService", mock.MagicMock())  # it has a thread
         self.start_bridge()
         return self
 
@@ -422,7 +423,7 @@ class BridgeSimulation:
             make_link,
             CallbackWatch(self._clock, self._clock),
         )
-        self.supervisor._arbiter.sources._clock = self._clock
+        self.supervisor.parts.arbiter.sources._clock = self._clock
         self.supervisor.activate()
 
     def kill_bridge(self) -> None:

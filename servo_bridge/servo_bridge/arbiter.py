@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.admission import JOIN_SPEED, SETTLING, Place
+from servo_bridge.part import Part
 from servo_bridge.set_point_queue import TARGETS, SetPointQueue, Target
 from servo_bridge.set_point_sources import Source, Sources
 from servo_bridge.set_points import Mode, NotReady, Rejected, SetPointRequest
+from servo_bridge.telemetry import AxisStatus, Snapshot
 from servo_bridge.trajectory.check import Limits
 
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
@@ -31,19 +32,7 @@ _STOP_DELAY = 0.1
 """Time from a sample to the effect of the stop that it causes [s]: two exchanges at 115200 baud, with a reserve."""
 
 
-@dataclass(frozen=True)
-class AxisStatus:
-    """State of one axis in the newest telemetry."""
-
-    label: str  # state and substate, for messages
-    accepts_set_points: bool  # RUN/SPIN, RUN/STARTUP; RUN/READY if a set-point starts the axis (no encoder)
-    faulted: bool = False  # state FAULT
-    position: int = 0  # of the shaft [counts], extended beyond the 32 bits of the board
-    position_ref: int | None = None  # position set-point, extended [counts]; None: not in the telemetry
-    speed: float = 0.0  # of the shaft [rad/s]
-
-
-class Arbiter:
+class Arbiter(Part):
     """Checks the set-points of all axes of one board.
 
     Parameters
@@ -56,6 +45,8 @@ class Arbiter:
         Detects sources that contradict each other.
     limits : callable
         Present limits of every joint, for the distance of a stop; None if the board has not reported them yet.
+    warn : callable
+        Receives messages for the log.
     """
 
     def __init__(
@@ -64,7 +55,9 @@ class Arbiter:
         joints: Sequence[Joint],
         sources: Sources | None = None,
         limits: Callable[[], Sequence[Limits] | None] = lambda: None,
+        warn: Callable[[str], None] = lambda _: None,
     ) -> None:
+        self._warn = warn
         self.queue = SetPointQueue()  # of the accepted set-points
         self.sources = sources or Sources()
         self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in TARGETS.items()}
@@ -81,6 +74,15 @@ class Arbiter:
         self.inactive = ""  # reason and remedy while the node is not active; else empty
 
     # ---- state of the board
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Process the newest sample, and pass it on to the source of paths."""
+        self.update_axes(snapshot.axes)
+        for reason in self.stop_at_limits():
+            self._warn(reason)
+        lsb = self._variables[Mode.POSITION].lsb
+        held = [axis.position if axis.position_ref is None else axis.position_ref for axis in snapshot.axes]
+        self.queue.on_sample(snapshot.tick, [counts * lsb for counts in held])
+
     def update_axes(self, axes: Sequence[AxisStatus]) -> None:
         """Update the state of all axes; pending set-points of an axis that accepts none are discarded."""
         self._axes = list(axes)
@@ -125,12 +127,12 @@ class Arbiter:
         """Set the nominal torque per ampere of i_q of every axis [N m/A]."""
         self._torque_constants = list(values)
 
-    def link_lost(self, reason: str) -> None:
+    def lost(self, reason: str) -> None:
         """Discard the pending set-points; further ones are refused until ``enable`` is called again."""
         self._link = reason
         if self._axes is not None:
             self.block("the link to the board was lost")
-        self.queue.link_lost()
+        self.queue.lost()
         self._axes = None
         self._torque_constants = None
 

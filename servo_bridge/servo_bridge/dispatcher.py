@@ -12,14 +12,20 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 
+from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import SLOW_PERIODS
 
+from servo_bridge.part import Part
 from servo_bridge.set_point_queue import CommandWrite, SetPointQueue
+from servo_bridge.telemetry import Snapshot
 
 _TIMEOUT = 40 * SLOW_PERIODS
 """PWM periods (20 ms) after which an acknowledged write without effect is given up. The board applies writes within one
 slow tick; the remainder allows for a sample that was already being transmitted."""
+
+_STOP_AT_CONNECTION = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)
+"""First write of the link, see `wire.stop_at_connection`."""
 
 
 @dataclass
@@ -30,7 +36,7 @@ class _Item:
     first_tick: int | None = field(default=None)  # of the first sample after the acknowledgement
 
 
-class Dispatcher:
+class Dispatcher(Part):
     """Sends command writes and finds the ticks of their effect. All methods are called from one thread.
 
     Parameters
@@ -41,6 +47,8 @@ class Dispatcher:
         Source of set-points while no write is pending.
     on_trouble : callable
         Receives messages for the log.
+    on_applied : callable
+        Receives every write with the tick of its effect.
     """
 
     def __init__(
@@ -48,7 +56,9 @@ class Dispatcher:
         send: Callable[[CommandWrite], None],
         set_points: SetPointQueue,
         on_trouble: Callable[[str], None],
+        on_applied: Callable[[AppliedCommand], None] = lambda _: None,
     ) -> None:
+        self._on_applied = on_applied
         self._send = send
         self._set_points = set_points
         self._on_trouble = on_trouble
@@ -56,6 +66,10 @@ class Dispatcher:
         self._pending: _Item | None = None
         self._count: int | None = None
         self._open = False
+
+    def connected(self) -> None:
+        """Start sending; the link has stopped the axes before its first sample."""
+        self.open(_STOP_AT_CONNECTION)
 
     def open(self, carried_out: CommandWrite | None = None) -> None:
         """Start sending after the link is up.
@@ -69,7 +83,7 @@ class Dispatcher:
         self._count = None
         self._pending = None if carried_out is None else _Item(carried_out, acknowledged=True)
 
-    def close(self, reason: str) -> None:
+    def lost(self, reason: str) -> None:
         """Stop sending and discard all pending writes; the futures of urgent writes fail with `reason`."""
         self._open = False
         items = ([self._pending] if self._pending is not None else []) + list(self._urgent)
@@ -133,7 +147,13 @@ class Dispatcher:
         self.pump()
         return discarded
 
-    def on_sample(self, tick: int, applied_tick: int, applied_count: int) -> AppliedCommand | None:
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Report the pending write if a sample has its effect."""
+        applied = self.confirm(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
+        if applied is not None:
+            self._on_applied(applied)
+
+    def confirm(self, tick: int, applied_tick: int, applied_count: int) -> AppliedCommand | None:
         """Check a sample for the effect of the pending write.
 
         Parameters

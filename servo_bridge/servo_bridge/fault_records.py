@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 from typing import Final
@@ -12,12 +12,14 @@ from servo_msgs_py.fault_record import FaultRecord, record_variable
 
 from servo_bridge.board_context import BoardContext
 from servo_bridge.outcome import error_of
+from servo_bridge.part import Part
+from servo_bridge.telemetry import Snapshot
 
 SECOND_READ: Final = 4000
 """PWM periods after which the first fault is final: the firmware may replace a symptom by its cause until then."""
 
 
-class FaultRecords:
+class FaultRecords(Part):
     """Records of the first faults of all axes, read at the fault and again when the fault is final.
 
     Parameters
@@ -35,9 +37,10 @@ class FaultRecords:
         self._again: list[int | None] = [None] * AXES
         self.records: list[FaultRecord | None] = [None] * AXES
 
-    def on_snapshot(self, tick: int, faults: Sequence[int]) -> None:
+    def on_sample(self, snapshot: Snapshot) -> None:
         """Check the fault words of a sample."""
-        for axis, word in enumerate(faults):
+        tick = snapshot.tick
+        for axis, word in enumerate(snapshot.faults):
             due = self._again[axis]
             if word == 0:
                 self._again[axis] = None
@@ -50,7 +53,7 @@ class FaultRecords:
                 self._fetch(axis)
             self._words[axis] = word
 
-    def link_lost(self) -> None:
+    def lost(self, reason: str) -> None:
         """Forget the records of the board."""
         self._words = [0] * AXES
         self._again = [None] * AXES

@@ -8,9 +8,12 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+from servo_msgs_py.catalogue import axis_name
 
 from servo_bridge.command_context import CommandContext
+from servo_bridge.part import Part
 from servo_bridge.set_points import NotReady, Rejected
+from servo_bridge.telemetry import Snapshot
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, PathEvents, Plan
 from servo_bridge.trajectory.from_message import from_message
@@ -57,7 +60,7 @@ class _Active:
     path: Path | None = None  # merged path of all joints
 
 
-class Goals:
+class Goals(Part):
     """Starts and stops the trajectories of one board.
 
     Parameters
@@ -248,27 +251,17 @@ class Goals:
         active.plan = self.follow(source, message, events, takes_over)
         self._active.append(active)
 
-    def on_sample(self, tick: int, stamp_ns: int, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Check the goals with a sample of the board.
-
-        Parameters
-        ----------
-        tick : int
-            Extended tick.
-        stamp_ns : int
-            ROS time of the tick [ns].
-        position, velocity : sequence of float
-            Of all joints [rad], [rad/s].
-        """
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Check the goals with a sample of the board."""
+        time = snapshot.tick * PERIOD
         for active in list(self._active):
             goal = active.goal
-            axes = self._axes(goal.joints)
-            actual = _measured([position[axis] for axis in axes], [velocity[axis] for axis in axes])
-            desired = None if active.path is None else active.path.state(tick * PERIOD)
+            actual = self._measured(goal.joints, snapshot)
+            desired = None if active.path is None else active.path.state(time)
             if active.owner.cancelling():
                 goal.cancel()
             moving = goal.moving
-            step = goal.sample(tick * PERIOD, desired, actual)
+            step = goal.sample(time, desired, actual)
             if step is Step.STOP:
                 self._stop(active)
             elif step is Step.WITHDRAW and active.plan is not None:
@@ -279,13 +272,13 @@ class Goals:
                 if goal.outcome.phase is Phase.ABORTED:
                     self._stop_remaining(active)
             elif moving and desired is not None:
-                active.owner.moving(tick, stamp_ns, desired, actual)
+                active.owner.moving(snapshot.tick, snapshot.stamp_ns, desired, actual)
 
-    def link_lost(self, reason: str) -> None:
+    def lost(self, reason: str) -> None:
         """End all goals, because there are no more samples."""
         ended, self._active = self._active, []
         for each in ended:
-            each.goal.failed(reason)
+            each.goal.failed(f"the link to the board was lost: {reason}")
             each.owner.ended(each.goal)
 
     def _stop(self, active: _Active) -> None:
@@ -308,7 +301,10 @@ class Goals:
     def _axes(self, joints: Sequence[str]) -> list[int]:
         return [self._joints.index(joint) for joint in joints]
 
-
-def _measured(position: Sequence[float], velocity: Sequence[float]) -> State:
-    unknown = np.full(len(position), np.nan)
-    return State(np.array(position), np.array(velocity), unknown, unknown)
+    def _measured(self, joints: Sequence[str], snapshot: Snapshot) -> State:
+        values = snapshot.values
+        rows = [(self._context.arbiter.joints[axis], axis_name(axis)) for axis in self._axes(joints)]
+        position = [joint.position(values[f"{axis}.position"]) for joint, axis in rows]
+        velocity = [joint.velocity(values[f"{axis}.speed"]) for joint, axis in rows]
+        unknown = np.full(len(rows), np.nan)
+        return State(np.array(position), np.array(velocity), unknown, unknown)

@@ -15,6 +15,7 @@ from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_context import BoardContext
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.outcome import Outcome, answered, error_of
+from servo_bridge.part import Part
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_points import NotReady
 from servo_bridge.telemetry import Snapshot
@@ -84,7 +85,7 @@ class _Axis:
     memory: _Memory = field(default_factory=_Memory)
 
 
-class Homing:
+class Homing(Part):
     """Homing of all axes of one board; called in the thread of the executor.
 
     Parameters
@@ -95,6 +96,8 @@ class Homing:
         Checks whether an axis accepts set-points.
     dispatcher : Dispatcher
         Sends the writes.
+    features : callable
+        Features of the axes (``param.features``); None if not known.
     moved : callable
         Called with an axis whose position may have changed its reference.
     """
@@ -107,6 +110,7 @@ class Homing:
         restores: bool,
         arbiter: Arbiter,
         dispatcher: Dispatcher,
+        features: Callable[[], Sequence[int] | None],
         moved: Callable[[int], None],
     ) -> None:
         self.joints = list(joints)  # in the order of the axes
@@ -119,6 +123,7 @@ class Homing:
         self._feature = catalogue.flag("features", "HOMING").mask
         self._lsb = catalogue["cmd.home_position"].lsb
         self._arbiter, self._dispatcher = arbiter, dispatcher
+        self._features = features
         self._moved = moved
         self._reading = False
         self._next_poll = 0
@@ -147,12 +152,13 @@ class Homing:
         states = {name: float(axis.state) for name, axis in zip(_COLUMNS, self._axes, strict=True)}
         return replace(snapshot, values={**snapshot.values, **states})
 
-    def on_snapshot(self, snapshot: Snapshot, features: Sequence[int] | None) -> None:
-        """Process the newest completed sample; `features` of the axes, None if not known."""
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Process the newest sample, see `completed`."""
         restarted = self._epoch is not None and snapshot.epoch != self._epoch
         if restarted:
             self._polled, self._next_poll = -1, 0
         self._epoch, self._connected = snapshot.epoch, True
+        features = self._features()
         for number, axis in enumerate(self._axes):
             self._store_or_restore(number, axis, snapshot, restarted, features)
         self._poll(snapshot)
@@ -182,7 +188,7 @@ class Homing:
 
         self._context.read_all(_COLUMNS, take)
 
-    def link_lost(self, reason: str) -> None:
+    def lost(self, reason: str) -> None:
         """End all homings."""
         self._connected = False
         self._reading, self._next_poll = False, 0

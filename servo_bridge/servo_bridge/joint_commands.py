@@ -12,15 +12,18 @@ from servo_msgs_py.runtime.qos import command_qos
 
 from servo_bridge.admission import Admission, NotJoined, Place
 from servo_bridge.answers import Answers
+from servo_bridge.board_time import BoardTime
 from servo_bridge.command_context import CommandContext
+from servo_bridge.part import Part
 from servo_bridge.set_points import JointSetPoint, Rejected, from_joint_command, requests_of
+from servo_bridge.telemetry import Snapshot
 from servo_bridge.trajectory.streamer import Streamer, require_within
 from servo_msgs_py import topics
 
 _SOURCE = topics.JOINT_COMMANDS
 
 
-class JointCommands:
+class JointCommands(Part):
     """Subscription of ``joint_commands``.
 
     Parameters
@@ -33,10 +36,8 @@ class JointCommands:
         Publisher of the answers to messages with a ticket.
     interfaces : mapping of str to collection of str, optional
         Arrays with each joint, if the sender omits joints in some arrays.
-    offset_ns : callable
-        Steady clock at tick 0 of the board [ns]; None before the first sample.
-    wall_ns : callable
-        Converts steady clock to ROS time [ns].
+    clocks : BoardTime
+        Converts times of messages to board time.
     """
 
     def __init__(
@@ -46,23 +47,21 @@ class JointCommands:
         answers: Answers,
         *,
         interfaces: Mapping[str, Collection[str]] | None,
-        offset_ns: Callable[[], float | None],
-        wall_ns: Callable[[int], int],
+        clocks: BoardTime,
     ) -> None:
         self._context = context
         self._streamer = streamer
         self._answers = answers
         self._interfaces = interfaces
-        self._offset_ns = offset_ns
-        self._wall_ns = wall_ns
+        self._clocks = clocks
         wrapping = [axis for axis, joint in enumerate(context.arbiter.joints) if joint.wraps]
         self._admission = Admission(_SOURCE, wrapping)
         self._streamed: dict[int, float] = {}  # newest position of the stream of each axis [rad]
         self._arrivals_ns: dict[int, int] = {}  # of the newest message of each axis, steady clock [ns]
         context.node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
 
-    def advance(self) -> None:
-        """Execute the set-points that are due; called after every sample."""
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Execute the set-points that are due."""
         now_ns = time.monotonic_ns()
         due = self._admission.advance(now_ns * 1e-9)
         for axis in list(due):
@@ -177,12 +176,12 @@ class JointCommands:
         return result
 
     def _board_time(self, now_ns: int) -> float | None:
-        offset = self._offset_ns()
+        offset = self._clocks.offset_ns
         return None if offset is None else (now_ns - offset) * 1e-9
 
     def _stamp(self, message: JointState, now_ns: int) -> float:
         """Time stamp of the message in the time of the board [s]; without a stamp, the arrival."""
-        offset = self._offset_ns() or 0.0
+        offset = self._clocks.offset_ns or 0.0
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-        return ((stamp_ns - self._wall_ns(round(offset))) if stamp_ns else (now_ns - offset)) * 1e-9
+        return ((stamp_ns - self._clocks.wall_ns(round(offset))) if stamp_ns else (now_ns - offset)) * 1e-9

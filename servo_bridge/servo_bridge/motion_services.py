@@ -13,6 +13,7 @@ from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_context import BoardContext
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.outcome import Outcome, answered
+from servo_bridge.part import Part
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Snapshot
 
@@ -23,7 +24,7 @@ _ENABLE_TIMEOUT = 40_000
 """PWM periods (2.5 s) after which an enable is answered although the axes are not ready."""
 
 
-class MotionServices:
+class MotionServices(Part):
     """The three services; called in the thread of the executor.
 
     Parameters
@@ -51,7 +52,7 @@ class MotionServices:
         self._rechecks: list[tuple[int, Future[Outcome]]] = []
         self._enabling: list[tuple[int, int, Future[Outcome]]] = []  # stops before, last tick, answer
 
-    def on_snapshot(self, snapshot: Snapshot) -> None:
+    def on_sample(self, snapshot: Snapshot) -> None:
         """Process the newest sample."""
         if self._snapshot is None and any(axis.accepts_set_points for axis in snapshot.axes):
             # The link has sent a quick stop at the first contact.
@@ -64,7 +65,7 @@ class MotionServices:
             faults = self._faults(snapshot)
             entry[1].set_result((not faults, f"not cleared, the cause persists: {faults}" if faults else "no faults"))
 
-    def link_lost(self, reason: str) -> None:
+    def lost(self, reason: str) -> None:
         """Answer all pending calls."""
         self._snapshot = None
         self._reason = reason

@@ -15,9 +15,10 @@ from servo_msgs_py.value_text import value_text
 
 from servo_bridge.board_context import BoardContext
 from servo_bridge.outcome import error_of
+from servo_bridge.part import Part
 
 
-class ParameterSync:
+class ParameterSync(Part):
     """Keeps the parameters of the board at the values that the user requests.
 
     Parameters that are not requested keep the value of the board. `trouble` has the first error.
@@ -38,6 +39,7 @@ class ParameterSync:
         write_raw: Callable[[str, Sequence[int]], Future[Any]],
         changed: Callable[[RawParameters], None],
     ) -> None:
+        self.wanted: Sequence[Assignment] = ()
         self.values: RawParameters | None = None  # read from the board; None: not known
         self.trouble = ""  # first error of the present request; empty: none
         self._context = context
@@ -45,14 +47,17 @@ class ParameterSync:
         self._names = [variable.name for variable in parameters(context.catalogue)]
         self._write_raw = write_raw
         self._changed = changed
-        self._wanted: Sequence[Assignment] = ()
         self._connected = False
         self._round = 0  # results of earlier rounds are ignored
 
     # ---- calls of the owner
     def request(self, assignments: Sequence[Assignment]) -> None:
         """Set these parameters now and after every connection."""
-        self._wanted = assignments
+        self.wanted = assignments
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Read the parameters again if a board is connected: their defaults may have changed."""
         if self._connected:
             self._begin()
 
@@ -61,11 +66,11 @@ class ParameterSync:
         return contradiction(applied(assignments, self.values or {}), self._catalogue)
 
     def connected(self) -> None:
-        """Report that the link is up."""
+        """Read the parameters, and write those that are requested."""
         self._connected = True
         self._begin()
 
-    def link_lost(self) -> None:
+    def lost(self, reason: str) -> None:
         """Forget the parameters of the board."""
         self._connected = False
         self._round += 1
@@ -93,7 +98,7 @@ class ParameterSync:
         self._context.read_all(self._names, take)
 
     def _compare(self, found: dict[str, list[int]]) -> None:
-        target = applied(self._wanted, found)
+        target = applied(self.wanted, found)
         problem = contradiction(target, self._catalogue)
         if problem:
             self._tell(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
@@ -23,11 +23,13 @@ from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Bool, Float64MultiArray, String
 
+from servo_bridge.homing import Homing
+from servo_bridge.part import Part
 from servo_bridge.telemetry import Snapshot
 from servo_msgs_py import topics
 
 
-class Publications:
+class Publications(Part):
     """Publishers of telemetry, state and applied commands.
 
     Parameters
@@ -38,6 +40,10 @@ class Publications:
         In the order of the axes.
     names : sequence of str
         Columns of a snapshot.
+    homing : Homing
+        State of the positions.
+    torque_constants : callable
+        Of the motors, by axis [N m/A]; empty: not known, efforts are omitted.
     joint_states_rate : float
         Largest rate of joint_states [Hz]; 0: every sample.
     snapshot_period : float
@@ -49,11 +55,15 @@ class Publications:
         node: Node,
         joints: Sequence[Joint],
         names: Sequence[str],
+        homing: Homing,
+        torque_constants: Callable[[], Sequence[float]],
         *,
         joint_states_rate: float,
         snapshot_period: float,
     ) -> None:
         self._joints = list(joints)
+        self._homing = homing
+        self._torque_constants = torque_constants
         self._columns = [*names, *topics.STAMP_COLUMNS]
         self._joint_ticks = round(1e9 / joint_states_rate / PERIOD_NS) if joint_states_rate > 0.0 else 0
         self._snapshot_ticks = round(snapshot_period * 1e9 / PERIOD_NS)
@@ -82,35 +92,28 @@ class Publications:
         self._state = node.create_publisher(String, topics.STATE, latched)
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
-    def sample(
-        self, snapshot: Snapshot, stamp_ns: int, torque_constants: Sequence[float] | None, *, joint_states: bool = True
-    ) -> None:
-        """Publish a sample, limited by the rates.
-
-        Parameters
-        ----------
-        snapshot : Snapshot
-            The sample.
-        stamp_ns : int
-            ROS time of its tick [ns].
-        torque_constants : sequence of float, optional
-            Of the motors, per axis [N m/A]; None: not known, efforts are omitted.
-        joint_states : bool
-            False: do not publish joint_states, because the positions have another reference.
-        """
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Publish a sample, limited by the rates; no joint_states while the positions have another reference."""
+        self._publish_positions_known()
         if snapshot.epoch != self._epoch:
             self.flush()
             self._epoch = snapshot.epoch
             self._next_joint = self._next_snapshot = 0
-        if joint_states and snapshot.tick >= self._next_joint:
+        if not self._homing.restoring and snapshot.tick >= self._next_joint:
             # Step from the last due tick, not from this one, to keep the mean rate.
             self._next_joint = max(self._next_joint + self._joint_ticks, snapshot.tick)
-            message = joint_state_from_values(self._joints, stamp_ns, snapshot.values, torque_constants)
+            constants = self._torque_constants() or None
+            message = joint_state_from_values(self._joints, snapshot.stamp_ns, snapshot.values, constants)
             self._joint_states.publish(message)
-        self._rows.append([*snapshot.values.values(), *divmod(stamp_ns, 1_000_000_000)])
+        self._rows.append([*snapshot.values.values(), *divmod(snapshot.stamp_ns, 1_000_000_000)])
         if snapshot.tick >= self._next_snapshot:
             self._next_snapshot = snapshot.tick + self._snapshot_ticks
             self.flush()
+
+    def lost(self, reason: str) -> None:
+        """Publish what is collected, and that no position is known."""
+        self.flush()
+        self._publish_positions_known()
 
     def flush(self) -> None:
         """Publish the collected samples in a snapshot message."""
@@ -140,14 +143,13 @@ class Publications:
             self._last_description = text
             self._description.publish(String(data=text))
 
-    def positions_known(self, known: Sequence[bool]) -> None:
-        """Publish which positions are known, if that has changed."""
-        for axis, (now, publisher) in enumerate(zip(known, self._known, strict=True)):
+    def _publish_positions_known(self) -> None:
+        for axis, (now, publisher) in enumerate(zip(self._homing.known, self._known, strict=True)):
             if now != self._last_known[axis]:
                 self._last_known[axis] = now
                 publisher.publish(Bool(data=now))
 
-    def lost(self, reason: str) -> None:
+    def disconnected(self, reason: str) -> None:
         """Publish that no board is connected, if that or the reason has changed."""
         self._connection(reason, f"DISCONNECTED {reason}", armed=False)
 

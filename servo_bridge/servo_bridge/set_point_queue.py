@@ -7,7 +7,7 @@ numbers are raw firmware integers.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -16,6 +16,7 @@ from servo_msgs_py.timed_points import axes_of_points
 
 from servo_bridge.set_points import Mode
 from servo_bridge.trajectory.errors import POINTS_REFUSED
+from servo_bridge.trajectory.follower import AxisReport
 
 TARGETS: Final = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
 """Variable of the set-point of a mode."""
@@ -71,6 +72,7 @@ class PathSource(Protocol):
         """Axes with a path, or with a request that may still be refused."""
         ...
 
+    def on_sample(self, tick: int, reports: Sequence[AxisReport]) -> None: ...
     def next_points(self) -> tuple[int, ...] | None: ...
     def points_accepted(self, axes: Iterable[int]) -> None:
         """The board has accepted points of these axes."""
@@ -144,16 +146,18 @@ class SetPointQueue:
         """Forget the modes, so that they are written again."""
         self._modes = [None] * AXES
 
-    def link_lost(self) -> None:
+    def lost(self) -> None:
         """Reset the known modes."""
         self.forget_modes()
         self._halted.clear()
 
-    # ---- output
-    def follows_points(self, axis: int) -> bool:
-        """True if an axis is in mode TRAJECTORY."""
-        return self._modes[axis] is Mode.TRAJECTORY
+    def on_sample(self, tick: int, references: Iterable[float]) -> None:
+        """Pass a sample on to the source of timed points; `references`: position set-points of the motors [rad]."""
+        if self._paths is not None:
+            pairs = zip(references, self._modes, strict=True)
+            self._paths.on_sample(tick, [AxisReport(place, mode is Mode.TRAJECTORY) for place, mode in pairs])
 
+    # ---- output
     def next_write(self) -> CommandWrite | None:
         """Remove the next write: modes before set-points; both axes in one write if the variable is the same."""
         if self._halted:

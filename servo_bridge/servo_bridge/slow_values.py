@@ -10,11 +10,13 @@ from servo_msgs_py.robot_description import Motor
 
 from servo_bridge.board_context import BoardContext
 from servo_bridge.health import BOARD_COUNTERS, WINDING, Winding
+from servo_bridge.part import Part
+from servo_bridge.telemetry import Snapshot
 
 _MOTOR: Final = ("torque_constant", "acceleration_current")
 
 
-class SlowValues:
+class SlowValues(Part):
     """Last values; forgotten after the loss of the link.
 
     Parameters
@@ -36,19 +38,33 @@ class SlowValues:
         self._context = context
         self._motors_known, self._windings_known = motors_known, windings_known
         self._counting = False
-        self._link = 0  # number of the connection
-        self.link_lost()
+        self._link = self._epoch = 0  # numbers of the connection and of the resets of the board
+        self.counters: dict[str, int] | None = None  # of `BOARD_COUNTERS`
+        self._forget()
 
-    def link_lost(self) -> None:
+    def connected(self) -> None:
+        """Start to read the motor data."""
+        self.read_motors()
+
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Forget the counters after a reset of the board."""
+        if snapshot.epoch != self._epoch:
+            self._epoch, self.counters = snapshot.epoch, None
+
+    def lost(self, reason: str) -> None:
         """Forget everything."""
         self._link += 1
+        self._forget()
+
+    @property
+    def torque_constants(self) -> list[float]:
+        """Torque constants of the motors, by axis [N m/A]; empty until they are read."""
+        return [motor.torque_constant for motor in self.motors]
+
+    def _forget(self) -> None:
         self.motors: list[Motor] = []  # by axis; empty until they are read
         self.windings: list[Winding | None] = [None] * AXES  # by axis
-        self.counters_restarted()
-
-    def counters_restarted(self) -> None:
-        """Forget the counters after a reset of the board."""
-        self.counters: dict[str, int] | None = None  # of `BOARD_COUNTERS`
+        self.counters = None
 
     def read_motors(self) -> None:
         """Start to read the motor data: after a connection or a change of the configuration."""

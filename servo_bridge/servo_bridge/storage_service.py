@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 from servo_bridge.board_context import BoardContext
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered
+from servo_bridge.part import Part
 from servo_bridge.wire.session_port import SessionPort
 from servo_msgs_py import topics
 
@@ -35,7 +36,7 @@ _TIMEOUT: Final = 5.0
 T = TypeVar("T")
 
 
-class StorageService:
+class StorageService(Part):
     """Executes the storage services. All methods run in the thread of the node.
 
     Parameters
@@ -49,7 +50,7 @@ class StorageService:
     def __init__(self, context: BoardContext, node: Node) -> None:
         self.storage: Storage | None = None  # state of the storage; None: not known
         self._context = context
-        self._busy = False
+        self._waiting: Future[Outcome] | None = None  # answer of the request in progress
         self._services = [
             DeferredService(node, Trigger, topics.SAVE_TO_BOARD, lambda _: self._request("SAVE")),
             DeferredService(node, Trigger, topics.RESTORE_FACTORY, lambda _: self._request("FACTORY")),
@@ -59,9 +60,11 @@ class StorageService:
         """Read the state after a connection; the board may have been reset."""
         self._job(lambda memory: read_storage(memory), self._update, lambda _: None)
 
-    def link_lost(self) -> None:
-        """Forget the state of the board."""
+    def lost(self, reason: str) -> None:
+        """Forget the state of the board, and answer a request."""
         self.storage = None
+        if self._waiting is not None:
+            self._done(self._waiting, (False, f"the link was lost: {reason}"))
 
     def _update(self, storage: Storage) -> None:
         if storage.trouble and storage != self.storage:
@@ -69,10 +72,9 @@ class StorageService:
         self.storage = storage
 
     def _request(self, kind: Kind) -> Future[Outcome]:
-        if self._busy:
+        if self._waiting is not None:
             return answered(False, "a request is already in progress; call again after its response")
-        self._busy = True
-        answer: Future[Outcome] = Future()
+        self._waiting = answer = Future[Outcome]()
         until = time.monotonic() + _TIMEOUT
         failed = partial(self._failed, kind, answer)
         self._job(lambda memory: begin_request(memory, kind), partial(self._poll, kind, answer, until), failed)
@@ -80,6 +82,8 @@ class StorageService:
 
     def _poll(self, kind: Kind, answer: Future[Outcome], until: float, token: int) -> None:
         def seen(storage: Storage | None) -> None:
+            if answer is not self._waiting:
+                return  # ended by the loss of the link
             if storage is not None:
                 self._update(storage)
                 self._done(answer, (True, success_text(kind, storage)))
@@ -91,11 +95,12 @@ class StorageService:
         self._job(lambda memory: request_result(memory, token), seen, partial(self._failed, kind, answer))
 
     def _failed(self, kind: Kind, answer: Future[Outcome], error: BaseException) -> None:
-        self._done(answer, (False, str(error) or type(error).__name__))
-        self.connected()
+        if answer is self._waiting:
+            self._done(answer, (False, str(error) or type(error).__name__))
+            self.connected()
 
     def _done(self, answer: Future[Outcome], outcome: Outcome) -> None:
-        self._busy = False
+        self._waiting = None
         success, message = outcome
         (self._context.info if success else self._context.warn)(message)
         answer.set_result(outcome)

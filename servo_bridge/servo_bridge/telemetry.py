@@ -10,7 +10,6 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 from servo_msgs_py.convert import columns, state_label
 from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 
-from servo_bridge.arbiter import AxisStatus
 from servo_bridge.wire.scope import Sample
 
 _READY_STATES = ("RUN/SPIN", "RUN/STARTUP")
@@ -48,12 +47,24 @@ def telemetry_variables(catalogue: Catalogue, extra: Sequence[str]) -> list[str]
 
 
 @dataclass(frozen=True)
+class AxisStatus:
+    """State of one axis in the newest telemetry."""
+
+    label: str  # state and substate, for messages
+    accepts_set_points: bool  # RUN/SPIN, RUN/STARTUP; RUN/READY if a set-point starts the axis (no encoder)
+    faulted: bool = False  # state FAULT
+    position: int = 0  # of the shaft [counts], extended beyond the 32 bits of the board
+    position_ref: int | None = None  # position set-point, extended [counts]; None: not in the telemetry
+    speed: float = 0.0  # of the shaft [rad/s]
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """One sample."""
 
     tick: int  # PWM periods since reset, extended beyond 32 bits
     epoch: int  # number of board resets; ticks and positions of different epochs are not comparable
-    response_ns: int  # monotonic host time at which the sample was complete [ns]
+    stamp_ns: int  # ROS time of the tick [ns]
     values: Mapping[str, float]
     """SI values by column, in the order of `Telemetry.columns`; tick and positions are extended beyond the 32 bits of
     the board."""
@@ -108,8 +119,8 @@ class Telemetry:
         self._ready_since: list[int | None] = [None] * AXES
         self._epoch = 0
 
-    def snapshot(self, sample: Sample) -> Snapshot:
-        """Convert a sample."""
+    def snapshot(self, sample: Sample, stamp_ns: int) -> Snapshot:
+        """Convert a sample; `stamp_ns`: ROS time of its tick."""
         if sample.epoch != self._epoch:
             self._counts = [None] * AXES
             self._ready_since = [None] * AXES
@@ -133,7 +144,7 @@ class Telemetry:
         return Snapshot(
             sample.tick,
             sample.epoch,
-            sample.response_ns,
+            stamp_ns,
             dict(zip(self.columns, row, strict=True)),
             raw[self._applied_tick],
             raw[self._applied_count],

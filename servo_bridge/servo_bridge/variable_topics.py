@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from servo_msgs_py.catalogue import Value, Variable, axis_name
 from servo_msgs_py.convert import columns, row
@@ -15,10 +16,12 @@ from std_msgs.msg import Float64
 
 from servo_bridge.board_context import BoardContext
 from servo_bridge.outcome import error_of
+from servo_bridge.part import Part
+from servo_bridge.telemetry import Snapshot
 from servo_msgs_py import topics
 
 
-class VariableTopics:
+class VariableTopics(Part):
     """Publishes variables of the telemetry, and reads the other ones one at a time.
 
     Elements of an array have one topic each: ``var/cmd/position/<joint>``.
@@ -35,6 +38,8 @@ class VariableTopics:
         Variables to publish.
     sampled : sequence of str
         Columns of the telemetry.
+    rate : float
+        Of the topics [Hz].
     """
 
     def __init__(
@@ -44,6 +49,7 @@ class VariableTopics:
         joints: Sequence[str],
         variables: Sequence[Variable],
         sampled: Sequence[str],
+        rate: float,
     ) -> None:
         self._context = context
         self._publishers: dict[str, Any] = {}
@@ -54,17 +60,26 @@ class VariableTopics:
                 self._publishers[column] = node.create_publisher(Float64, topic, telemetry_qos())
         self._outside = _cycle([variable for variable in variables if columns([variable])[0] not in sampled])
         self._pending: Future[Value] | None = None
+        self._newest: Snapshot | None = None
+        if variables:
+            node.create_timer(1.0 / rate, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def publish(self, sample: Mapping[str, float]) -> None:
-        """Publish the values of a sample [SI], and start to read the next variable that is not in the sample."""
-        self._publish(sample)
+    def on_sample(self, snapshot: Snapshot) -> None:
+        """Keep the newest sample."""
+        self._newest = snapshot
+
+    def publish(self) -> None:
+        """Publish the values of the newest sample, and start to read the next variable that is not in it."""
+        if self._newest is None:
+            return
+        self._publish(self._newest.values)
         if self._pending is None and (variable := next(self._outside, None)) is not None:
             self._pending = self._context.read(variable.name)
             self._context.when_done(self._pending, partial(self._arrived, variable))
 
-    def link_lost(self) -> None:
-        """Discard the pending read."""
-        self._pending = None
+    def lost(self, reason: str) -> None:
+        """Forget the sample, and discard the pending read."""
+        self._newest = self._pending = None
 
     def _arrived(self, variable: Variable, done: Future[Value]) -> None:
         if done is self._pending:

@@ -357,12 +357,12 @@ class Rig:
     def accepted(self) -> int:
         """Number of accepted set-points."""
         assert self.bridge.supervisor is not None
-        return self.bridge.supervisor._commands.figures.accepted
+        return self.bridge.supervisor.parts.commands.figures.accepted
 
     def was_rejected(self, name: str) -> bool:
         """True if the last rejection, logged or not, is of this joint."""
         assert self.bridge.supervisor is not None
-        return f"'{name}'" in self.bridge.supervisor._commands.figures.last_rejection
+        return f"'{name}'" in self.bridge.supervisor.parts.commands.figures.last_rejection
 
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]

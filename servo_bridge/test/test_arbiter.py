@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from servo_bridge.admission import Place
-from servo_bridge.arbiter import Arbiter, AxisStatus
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_point_sources import Conflict, Source, Sources
 from servo_bridge.set_points import Mode, Rejected, SetPointRequest
+from servo_bridge.telemetry import AxisStatus
 from servo_bridge.trajectory.check import Limits
+from servo_bridge.trajectory.follower import AxisReport
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits, joint_names
 from servo_msgs_py.timed_points import TimedPoint, encode_points
@@ -236,7 +238,7 @@ def test_an_axis_whose_points_are_refused_stops() -> None:
     subject.queue.failed(CommandWrite("cmd.points", 0, tuple(words)))
     assert drain(subject) == [CommandWrite("cmd.mode", 1, (Mode.POSITION.value,))]
     subject.queue.failed(CommandWrite("cmd.points", 0, tuple(words)))
-    subject.link_lost("gone")
+    subject.lost("gone")
     assert drain(subject) == []
 
 
@@ -393,7 +395,7 @@ def test_block_discards_set_points_and_gives_its_reason_until_release() -> None:
 def test_link_loss_discards_set_points_and_needs_a_new_enable() -> None:
     subject = arbiter()
     subject.submit(request({0: 1.0}))
-    subject.link_lost("port gone")
+    subject.lost("port gone")
     assert subject.queue.next_write() is None
     assert not subject.armed
     assert "not connected (port gone)" in refused(subject, request({0: 1.0}))
@@ -496,6 +498,9 @@ class Following:
     def __init__(self, *axes: int) -> None:
         self.axes = self.claimed = set(axes)
 
+    def on_sample(self, tick: int, reports: Sequence[AxisReport]) -> None:
+        pass
+
     def next_points(self) -> None:
         return None
 
@@ -562,7 +567,7 @@ def test_joints_are_released_by_stops_faults_and_a_lost_link(event: str) -> None
     if event == "block":
         subject.block("stopped")
     elif event == "link_lost":
-        subject.link_lost("gone")
+        subject.lost("gone")
     else:
         subject.update_axes((FAULTED, SPINNING))
     assert sources.holder(0) is None

@@ -100,7 +100,7 @@ def rig() -> Iterator[Rig]:
 def test_slow_callback_is_named_in_the_diagnostics(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     supervisor = rig.bridge.supervisor
     assert supervisor is not None
-    monkeypatch.setattr(supervisor._storage, "connected", lambda: time.sleep(0.15))
+    monkeypatch.setattr(supervisor.parts.storage, "connected", lambda: time.sleep(0.15))
     rig.diagnosis("executor")  # begins a new period
     rig.link.connect()
     rig.link.sample()
@@ -148,7 +148,7 @@ def use_everything(rig: Rig) -> None:
     rig.enable_axes()
     supervisor = rig.bridge.supervisor
     assert supervisor is not None
-    rig.until(lambda: supervisor._path_limits() is not None)
+    rig.until(lambda: supervisor.parts.path_limits() is not None)
     times = np.arange(1, QUICK + 1) / 25.0
     paths = rig.user.create_publisher(JointTrajectory, topics.JOINT_TRAJECTORY, command_qos())
     rig.until(paths.get_subscription_count)
@@ -168,12 +168,12 @@ def use_everything(rig: Rig) -> None:
 
         return met
 
-    rig.until(sampled(lambda: supervisor._follower.moving))
+    rig.until(sampled(lambda: supervisor.parts.follower.moving))
     for _ in range(4):
         rig.position.publish(Float64(data=0.0))
-        rig.until(sampled(lambda: supervisor._arbiter.sources.holder(1) == Source("axis2/position", "position")))
+        rig.until(sampled(lambda: supervisor.parts.arbiter.sources.holder(1) == Source("axis2/position", "position")))
         rig.joint_commands.publish(JointState(name=["axis2"], velocity=[1.0]))
-        rig.until(sampled(lambda: supervisor._arbiter.sources.holder(1) == Source("joint_commands", "velocity")))
+        rig.until(sampled(lambda: supervisor.parts.arbiter.sources.holder(1) == Source("joint_commands", "velocity")))
     for _ in range(20):
         rig.joint_commands.publish(JointState(name=["axis1"], position=[0.0], velocity=[0.0]))
         rig.link.sample(160)

@@ -50,7 +50,7 @@ class Rig:
 
     def connected(self) -> Rig:
         self.dispatcher.open()
-        self.dispatcher.on_sample(0, 0, 0)
+        self.dispatcher.confirm(0, 0, 0)
         return self
 
 
@@ -58,8 +58,8 @@ def test_write_before_the_first_sample_is_reported_with_the_tick_of_the_sample()
     rig = Rig()
     stop = CommandWrite("cmd.quick_stop", 0, (1, 1))
     rig.dispatcher.open(stop)
-    assert rig.dispatcher.on_sample(1000, 904, 1) == AppliedCommand("cmd.quick_stop", 904, (1, 1), 3)
-    assert rig.dispatcher.on_sample(1008, 904, 1) is None
+    assert rig.dispatcher.confirm(1000, 904, 1) == AppliedCommand("cmd.quick_stop", 904, (1, 1), 3)
+    assert rig.dispatcher.confirm(1008, 904, 1) is None
 
 
 def test_nothing_is_sent_before_the_link_is_up_and_a_sample_was_seen() -> None:
@@ -68,19 +68,19 @@ def test_nothing_is_sent_before_the_link_is_up_and_a_sample_was_seen() -> None:
     rig.dispatcher.open()
     rig.dispatcher.pump()
     assert rig.sent == []
-    rig.dispatcher.on_sample(8, 0, 7)
+    rig.dispatcher.confirm(8, 0, 7)
     assert rig.sent == [position(1)]
 
 
 def test_next_write_is_sent_after_the_sample_that_confirms_the_previous_one() -> None:
     rig = Rig(position(1), position(2)).connected()
     first = rig.sent[0]
-    assert rig.dispatcher.on_sample(8, 0, 0) is None
+    assert rig.dispatcher.confirm(8, 0, 0) is None
     rig.dispatcher.acknowledged(first, None)
     assert rig.queue.taken == [first]
-    assert rig.dispatcher.on_sample(16, 0, 0) is None
+    assert rig.dispatcher.confirm(16, 0, 0) is None
     assert len(rig.sent) == 1
-    assert rig.dispatcher.on_sample(32, 24, 1) == AppliedCommand("cmd.position", 24, (1, 1), 3)
+    assert rig.dispatcher.confirm(32, 24, 1) == AppliedCommand("cmd.position", 24, (1, 1), 3)
     assert rig.sent[1:] == [position(2)]
 
 
@@ -88,20 +88,20 @@ def test_confirmation_works_across_the_wrap_of_ticks_and_counts() -> None:
     rig = Rig(CommandWrite("cmd.i_q", 1, (-5,)))
     rig.dispatcher.open()
     start = (1 << 32) - 8
-    rig.dispatcher.on_sample(start, 5, 0xFFFF)
+    rig.dispatcher.confirm(start, 5, 0xFFFF)
     rig.dispatcher.acknowledged(rig.sent[0], None)
-    assert rig.dispatcher.on_sample(start + 16, 0, 0) == AppliedCommand("cmd.i_q", 1 << 32, (0, -5), 2)
+    assert rig.dispatcher.confirm(start + 16, 0, 0) == AppliedCommand("cmd.i_q", 1 << 32, (0, -5), 2)
 
 
 def test_urgent_writes_precede_set_points_and_report_their_tick() -> None:
     rig = Rig(position(1), position(2)).connected()
     done = rig.dispatcher.urgent(ENABLE)
     rig.dispatcher.acknowledged(rig.sent[0], None)
-    rig.dispatcher.on_sample(16, 8, 1)
+    rig.dispatcher.confirm(16, 8, 1)
     assert rig.sent == [position(1), ENABLE]
     assert not done.done()
     rig.dispatcher.acknowledged(ENABLE, None)
-    rig.dispatcher.on_sample(32, 24, 2)
+    rig.dispatcher.confirm(32, 24, 2)
     assert done.result(0) == 24
     assert rig.sent[2] == position(2)
     assert ENABLE not in rig.queue.taken
@@ -113,7 +113,7 @@ def test_urgent_writes_keep_their_order() -> None:
     rig.dispatcher.urgent(release)
     rig.dispatcher.urgent(ENABLE)
     rig.dispatcher.acknowledged(release, None)
-    rig.dispatcher.on_sample(16, 8, 1)
+    rig.dispatcher.confirm(16, 8, 1)
     assert rig.sent == [release, ENABLE]
 
 
@@ -138,7 +138,7 @@ def test_write_without_effect_times_out() -> None:
     rig = Rig(position(1), position(2)).connected()
     rig.dispatcher.acknowledged(rig.sent[0], None)
     for tick in range(8, 8 + 42 * 8, 8):
-        assert rig.dispatcher.on_sample(tick, 0, 0) is None
+        assert rig.dispatcher.confirm(tick, 0, 0) is None
     assert rig.queue.void == [position(1)]
     assert rig.sent[1:] == [position(2)]
     assert "not applied within 20 ms" in rig.trouble[0]
@@ -148,11 +148,11 @@ def test_close_discards_pending_writes_and_ignores_late_answers() -> None:
     rig = Rig(position(1), position(2)).connected()
     done = rig.dispatcher.urgent(ENABLE)
     late = rig.sent[0]
-    rig.dispatcher.close("port gone")
+    rig.dispatcher.lost("port gone")
     with pytest.raises(ConnectionError, match="port gone"):
         done.result(0)
     rig.dispatcher.acknowledged(late, None)
-    rig.dispatcher.on_sample(16, 8, 1)
+    rig.dispatcher.confirm(16, 8, 1)
     assert len(rig.sent) == 1
     assert rig.queue.taken == []
     with pytest.raises(ConnectionError, match="not connected"):
@@ -162,20 +162,20 @@ def test_close_discards_pending_writes_and_ignores_late_answers() -> None:
 def test_late_answer_is_not_assigned_to_the_next_write() -> None:
     rig = Rig(position(1), position(2)).connected()
     late = rig.sent[0]
-    rig.dispatcher.close("port gone")
+    rig.dispatcher.lost("port gone")
     rig.connected()
     assert rig.sent == [position(1), position(2)]
     rig.dispatcher.acknowledged(late, None)
-    assert rig.dispatcher.on_sample(16, 8, 1) is None
+    assert rig.dispatcher.confirm(16, 8, 1) is None
     assert rig.queue.taken == []
 
 
 def test_writes_of_another_master_are_not_confirmed_as_own() -> None:
     rig = Rig(position(1)).connected()
-    assert rig.dispatcher.on_sample(8, 8, 1) is None
+    assert rig.dispatcher.confirm(8, 8, 1) is None
     rig.dispatcher.acknowledged(rig.sent[0], None)
-    assert rig.dispatcher.on_sample(16, 8, 1) is None
-    applied = rig.dispatcher.on_sample(24, 24, 2)
+    assert rig.dispatcher.confirm(16, 8, 1) is None
+    applied = rig.dispatcher.confirm(24, 24, 2)
     assert applied is not None
     assert applied.tick == 24
 
@@ -210,7 +210,7 @@ def test_reported_ticks_are_exact_at_any_line_speed(seed: int, pace: float) -> N
     answered = 0
     for _ in range(400):
         board.advance(int(chance.expovariate(1.0 / pace)))
-        applied = rig.dispatcher.on_sample(board.tick, board.applied_tick & 0xFFFF_FFFF, board.count)
+        applied = rig.dispatcher.confirm(board.tick, board.applied_tick & 0xFFFF_FFFF, board.count)
         if applied is not None:
             found.append((position(applied.raw[0]), applied.tick))
         board.advance(int(chance.expovariate(1.0 / pace)))

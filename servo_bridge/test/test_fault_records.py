@@ -12,6 +12,7 @@ from recorded_fault import NONE, SIZE, recorded
 from servo_bridge.fault_records import SECOND_READ, FaultRecords
 from servo_bridge.freemaster.errors import AnswerTimeoutError
 from servo_bridge.outcome import error_of
+from servo_bridge.telemetry import Snapshot
 from servo_bridge.wire.link_queue import LinkDownError
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.fault_record import FaultRecord
@@ -39,7 +40,7 @@ class RecordsRig:
     def snapshot(self, tick: int, *faults: int) -> list[str]:
         """Deliver a sample; return the reads that it caused."""
         before = len(self.reads)
-        self.records.on_snapshot(tick, faults)
+        self.records.on_sample(Snapshot(tick, 0, 0, {}, 0, 0, (), faults))
         return [name for name, _ in self.reads[before:]]
 
     def answer(self, data: bytes | Exception) -> None:
@@ -125,7 +126,7 @@ def test_record_of_a_cleared_fault_is_not_published(rig: RecordsRig) -> None:
 def test_record_is_read_again_after_link_loss(rig: RecordsRig, error: Exception) -> None:
     """Nothing is published; the record is read again after the reconnection."""
     rig.snapshot(16, OVER_CURRENT, 0)
-    rig.records.link_lost()
+    rig.records.lost("gone")
     rig.answer(error)
     assert rig.changed == []
     assert rig.snapshot(8000, OVER_CURRENT, 0) == ["axis1.fault_record"]
@@ -136,7 +137,7 @@ def test_record_is_read_again_after_link_loss(rig: RecordsRig, error: Exception)
 def test_answer_of_a_lost_link_is_not_published(rig: RecordsRig) -> None:
     rig.snapshot(16, OVER_CURRENT, 0)
     rig.reads[-1][1].set_result(recorded("OVER_CURRENT", 11))
-    rig.records.link_lost()
+    rig.records.lost("gone")
     rig.drain()
     assert rig.changed == []
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from servo_bridge.arbiter import AxisStatus
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health, Winding
-from servo_bridge.telemetry import Snapshot
+from servo_bridge.telemetry import AxisStatus, Snapshot
 from servo_msgs_py.catalogue import Catalogue
 
 SNAPSHOT = Snapshot(8, 0, 0, {"u_dc": 24.0}, 0, 0, (), ())

@@ -6,11 +6,11 @@ from concurrent.futures import Future
 
 import pytest
 from board_context_rig import board_context
-from servo_bridge.arbiter import Arbiter, AxisStatus
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.homing import Homing
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.telemetry import Snapshot
+from servo_bridge.telemetry import AxisStatus, Snapshot
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.joints import Joint
 
@@ -40,9 +40,9 @@ class Rig:
             restores,
             self.arbiter,
             self.dispatcher,
-            moved=self.moved.append,
+            lambda: [features, features],
+            self.moved.append,
         )
-        self.features = [features, features]
         self.states = [0, 0]
         self.counts = [0, 0]
         self.speed = 0.0
@@ -72,9 +72,8 @@ class Rig:
         speeds = {f"axis{k}.speed": self.speed for k in (1, 2)}
         snapshot = Snapshot(self.tick, self.epoch, 0, speeds, self.tick, self.applied, axes, (0, 0))
         snapshot = self.homing.completed(snapshot)
-        self.arbiter.update_axes(axes)
-        self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
-        self.homing.on_snapshot(snapshot, self.features)
+        for part in (self.arbiter, self.dispatcher, self.homing):
+            part.on_sample(snapshot)
 
     def read_states(self) -> None:
         """Run until the bridge has read the homing states."""
@@ -142,7 +141,7 @@ def test_link_loss_answers_a_pending_homing() -> None:
     answer = rig.homing.home(1, "stop_negative")
     rig.sample()
     rig.sample()
-    rig.homing.link_lost("unplugged")
+    rig.homing.lost("unplugged")
     assert answer.result(0) == (False, "the link was lost: unplugged")
     assert rig.homing.known == [False, False]
 

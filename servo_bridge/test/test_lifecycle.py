@@ -177,7 +177,7 @@ def test_cleanup_releases_everything_and_permits_other_parameters(monkeypatch: p
         rig.until(lambda: rig.user.count_publishers(topics.JOINT_STATES) == 0)
         first.sample()  # pending operations end without effect
         supervisor._every_second()
-        supervisor._publish_variables()
+        supervisor.parts.variables.publish()
         supervisor._watch.sign_of_life()
         for name, value in (("port", "/dev/other"), ("baud", 9600), ("joints", ["pan", "axis2"])):
             assert rig.set_parameter(name, value)[0]

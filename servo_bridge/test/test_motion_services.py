@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from board_context_rig import board_context
-from servo_bridge.arbiter import Arbiter, AxisStatus
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.telemetry import Snapshot
+from servo_bridge.telemetry import AxisStatus, Snapshot
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 
@@ -36,9 +36,8 @@ class Rig:
         self.count += applied
         axes = axes or (SPINNING, SPINNING)
         snapshot = Snapshot(self.tick, 0, 0, self.values, self.tick, self.count, axes, faults)
-        self.arbiter.update_axes(axes)
-        self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
-        self.services.on_snapshot(snapshot)
+        for part in (self.arbiter, self.dispatcher, self.services):
+            part.on_sample(snapshot)
 
     def connected(self, *axes: AxisStatus) -> Rig:
         self.dispatcher.open()
@@ -114,7 +113,7 @@ def test_enable_answers_at_once_if_it_is_impossible(end: str) -> None:
         rig.services.quick_stop()
         rig.sample(STOPPED, STOPPED)
     else:
-        rig.services.link_lost("gone")
+        rig.services.lost("gone")
     success, text = answer.result(0)
     assert not success
     assert {"fault": "then call clear_faults", "stop": "interrupted by a stop", "link": "gone"}[end] in text
@@ -172,8 +171,8 @@ def test_a_lost_link_answers_every_caller() -> None:
     enable, clear = rig.services.enable(True), rig.services.clear_faults()
     rig.done()
     rig.dispatcher.acknowledged(rig.sent[-1], None)
-    rig.dispatcher.close("pulled")
-    rig.services.link_lost("pulled")
+    rig.dispatcher.lost("pulled")
+    rig.services.lost("pulled")
     assert enable.result(0)[0]
     assert clear.result(0) == (False, "pulled")
     for answer in (rig.services.enable(True), rig.services.enable(False), rig.services.clear_faults()):
@@ -184,7 +183,7 @@ def test_link_loss_answers_a_pending_fault_check() -> None:
     rig = Rig().connected()
     answer = rig.services.clear_faults()
     rig.done()
-    rig.services.link_lost("pulled")
+    rig.services.lost("pulled")
     assert answer.result(0) == (False, "the link was lost: pulled")
 
 
@@ -203,8 +202,8 @@ def test_axes_that_spin_when_the_link_comes_up_are_reported_once(axes: tuple[Axi
     rig = Rig().connected(*axes)
     rig.sample(*axes)
     assert rig.events == ["the board was enabled at the connection and has been stopped; call enable to continue"]
-    rig.dispatcher.close("pulled")
-    rig.services.link_lost("pulled")
+    rig.dispatcher.lost("pulled")
+    rig.services.lost("pulled")
     rig.connected(*axes)
     assert len(rig.events) == 2
     assert rig.sent == []

@@ -9,6 +9,7 @@ from servo_bridge.health import Winding
 from servo_bridge.slow_values import SlowValues
 from servo_bridge.snapshot_events import SnapshotEvents
 from servo_bridge.telemetry import Snapshot
+from servo_bridge.wire.link_statistics import Silence
 from servo_msgs_py.catalogue import Catalogue, Value
 
 CATALOGUE = Catalogue.load()
@@ -74,7 +75,7 @@ def test_counters_have_at_most_one_pending_read() -> None:
 def test_answers_of_a_lost_link_are_ignored() -> None:
     reads = Reads()
     reads.values.read_motors()
-    reads.values.link_lost()
+    reads.values.lost("gone")
     reads.answer(torque_constant=0.05, acceleration_current=2.0)
     assert (reads.values.motors, reads.motors) == ([], 0)
 
@@ -83,20 +84,31 @@ def snapshot(faults: tuple[int, int] = (0, 0), limits: int = 0) -> Snapshot:
     return Snapshot(16, 0, 0, {"axis1.limits": float(limits)}, 16, 0, (), faults)
 
 
-def test_fault_is_logged_once() -> None:
-    events = SnapshotEvents(CATALOGUE, ["arm", "hand"])
-    [sentence] = events.faults(None, snapshot((0, FAULT.mask)))
+def events(parameters: dict[str, list[int]] | None = None) -> tuple[SnapshotEvents, list[str]]:
+    """Events of two joints, and their log."""
+    log: list[str] = []
+    silence = Silence(0.2)
+    return SnapshotEvents(CATALOGUE, ["arm", "hand"], log.append, log.append, lambda: silence, lambda: parameters), log
+
+
+def test_fault_is_logged_once_per_connection() -> None:
+    subject, log = events()
+    for _ in range(3):
+        subject.on_sample(snapshot((0, FAULT.mask)))
+    [sentence] = log
     assert sentence.startswith("hand: ")
     assert FAULT.name in sentence
-    assert events.faults(snapshot((0, FAULT.mask)), snapshot((0, FAULT.mask))) == []
+    subject.lost("gone")
+    subject.on_sample(snapshot((0, FAULT.mask)))
+    assert log == [sentence] * 2
 
 
 def test_expired_set_point_is_logged_once_with_the_known_timeout() -> None:
-    events = SnapshotEvents(CATALOGUE, ["arm", "hand"])
     timeout = CATALOGUE["param.command_timeout"]
-    [sentence] = events.expired(
-        snapshot(), snapshot(limits=EXPIRED), {"param.command_timeout": [round(0.25 / timeout.lsb)]}
-    )
-    assert sentence == "arm: no velocity or effort set-point for 0.25 s; the axis stops"
-    assert "param.command_timeout" in events.expired(None, snapshot(limits=EXPIRED), None)[0]
-    assert events.expired(snapshot(limits=EXPIRED), snapshot(limits=EXPIRED), None) == []
+    subject, log = events({"param.command_timeout": [round(0.25 / timeout.lsb)]})
+    for limits in (0, EXPIRED, EXPIRED):
+        subject.on_sample(snapshot(limits=limits))
+    assert log == ["arm: no velocity or effort set-point for 0.25 s; the axis stops"]
+    subject, log = events()
+    subject.on_sample(snapshot(limits=EXPIRED))
+    assert "param.command_timeout" in log[0]

@@ -30,7 +30,7 @@ def test_positions_are_unwrapped_beyond_32_bits(steps: list[int], start: int) ->
     counts = start
     for step in [0, *steps]:
         counts += step
-        snapshot = telemetry.snapshot(sample(axis2_position=wrapped(counts)))
+        snapshot = telemetry.snapshot(sample(axis2_position=wrapped(counts)), 0)
         assert snapshot.values["axis2.position"] == counts * LSB
         assert snapshot.axes[1].position == counts
 
@@ -38,22 +38,22 @@ def test_positions_are_unwrapped_beyond_32_bits(steps: list[int], start: int) ->
 def test_the_set_point_is_extended_with_the_position() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
     top = 2**31 - 10
-    snapshot = telemetry.snapshot(sample(axis1_position=top, axis1_position_ref=wrapped(top + 50)))
+    snapshot = telemetry.snapshot(sample(axis1_position=top, axis1_position_ref=wrapped(top + 50)), 0)
     assert snapshot.values["axis1.position_ref"] == (top + 50) * LSB
-    snapshot = telemetry.snapshot(sample(axis1_position=wrapped(top + 60), axis1_position_ref=top))
+    snapshot = telemetry.snapshot(sample(axis1_position=wrapped(top + 60), axis1_position_ref=top), 0)
     assert snapshot.values["axis1.position_ref"] == top * LSB
 
 
 def test_new_epoch_restarts_unwrapping() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
-    telemetry.snapshot(sample(axis1_position=2**31 - 1))
-    snapshot = telemetry.snapshot(sample(epoch=1, axis1_position=-(2**31)))
+    telemetry.snapshot(sample(axis1_position=2**31 - 1), 0)
+    snapshot = telemetry.snapshot(sample(epoch=1, axis1_position=-(2**31)), 0)
     assert snapshot.axes[0].position == -(2**31)
 
 
 def test_states_and_faults_are_decoded() -> None:
     snapshot = Telemetry(CATALOGUE, LAYOUT.variables).snapshot(
-        sample(axis1_state=3, axis1_substate=3, axis2_state=0, axis2_faults=6, applied_tick=7, applied_count=9)
+        sample(axis1_state=3, axis1_substate=3, axis2_state=0, axis2_faults=6, applied_tick=7, applied_count=9), 0
     )
     assert [a.label for a in snapshot.axes] == ["RUN/SPIN", "FAULT"]
     assert [(a.accepts_set_points, a.faulted) for a in snapshot.axes] == [(True, False), (False, True)]
@@ -64,7 +64,7 @@ def test_an_axis_without_an_encoder_waits_in_ready_for_its_set_point() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
 
     def accepts(tick: int, substate: int, epoch: int = 0) -> bool:
-        snapshot = telemetry.snapshot(sample(tick=tick, epoch=epoch, axis1_state=3, axis1_substate=substate))
+        snapshot = telemetry.snapshot(sample(tick=tick, epoch=epoch, axis1_state=3, axis1_substate=substate), 0)
         return snapshot.axes[0].accepts_set_points
 
     assert [accepts(8, 1), accepts(16, 2)] == [False, False], "READY as a transition to ALIGN"
@@ -77,13 +77,13 @@ def test_an_axis_without_an_encoder_waits_in_ready_for_its_set_point() -> None:
 
 def test_values_are_si_in_the_order_of_the_columns() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
-    snapshot = telemetry.snapshot(sample(axis2_i_q=CATALOGUE["axis2.i_q"].to_raw(1.5)))
+    snapshot = telemetry.snapshot(sample(axis2_i_q=CATALOGUE["axis2.i_q"].to_raw(1.5)), 0)
     assert list(snapshot.values) == telemetry.columns
     assert snapshot.values["axis2.i_q"] == pytest.approx(1.5, abs=1e-3)
 
 
 def test_snapshot_has_the_extended_tick() -> None:
-    assert Telemetry(CATALOGUE, LAYOUT.variables).snapshot(sample(tick=2**40)).values["tick"] == 2**40
+    assert Telemetry(CATALOGUE, LAYOUT.variables).snapshot(sample(tick=2**40), 0).values["tick"] == 2**40
 
 
 def test_required_variables_come_first_and_once() -> None:

@@ -126,11 +126,11 @@ def test_cancelling_a_goal_does_not_refuse_a_pending_one(rig: Rig) -> None:
     first, second = (Goal(["axis1", "axis2"], {}, {}, 0.0) for _ in owners)
     for owner in owners:
         owner.cancelling.return_value = False
-    supervisor._goals.begin("test", converted(trajectory((5.0, [1.0, -1.0]))), first, owners[0])
+    supervisor.parts.goals.begin("test", converted(trajectory((5.0, [1.0, -1.0]))), first, owners[0])
     rig.until(lambda: len(sampled(rig)) >= 2)
     later = trajectory((0.5, [0.5, 0.5]))
     later.header.stamp = (rig.user.get_clock().now() + duration.Duration(seconds=30.0)).to_msg()
-    supervisor._goals.begin("test", converted(later), second, owners[1])
+    supervisor.parts.goals.begin("test", converted(later), second, owners[1])
     owners[0].cancelling.return_value = True
 
     def ended() -> bool:
@@ -140,7 +140,7 @@ def test_cancelling_a_goal_does_not_refuse_a_pending_one(rig: Rig) -> None:
     rig.until(ended)
     assert first.canceled
     assert not second.ended
-    assert supervisor._follower.claimed == {0, 1}
+    assert supervisor.parts.follower.claimed == {0, 1}
 
 
 def test_a_stop_takes_as_long_as_the_shaft_needs_if_no_path_moves_it(rig: Rig) -> None:
@@ -150,5 +150,5 @@ def test_a_stop_takes_as_long_as_the_shaft_needs_if_no_path_moves_it(rig: Rig) -
     supervisor = rig.bridge.supervisor
     assert supervisor is not None
     rig.until(lambda: rig.messages[topics.JOINT_STATES] and rig.messages[topics.JOINT_STATES][-1].velocity[0] < -199.0)
-    end = supervisor._goals.stop("test", ["axis1"])
-    assert end - supervisor._follower.now == pytest.approx(0.1 + 200.0 / 4000.0, abs=1e-3)
+    end = supervisor.parts.goals.stop("test", ["axis1"])
+    assert end - supervisor.parts.follower.now == pytest.approx(0.1 + 200.0 / 4000.0, abs=1e-3)

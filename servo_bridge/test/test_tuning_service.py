@@ -71,10 +71,10 @@ def test_a_write_of_blocks_is_reported_with_its_members() -> None:
 
     dispatcher = Dispatcher(sent.append, SetPointQueue(), pytest.fail)
     dispatcher.open()
-    dispatcher.on_sample(800, 0, 0)
+    dispatcher.confirm(800, 0, 0)
     members = tuple(range(len(AxisConfigTable.load())))
     done = dispatcher.urgent(CommandWrite("config.take", 0, (2,), members))
     dispatcher.acknowledged(sent[0], None)
-    command = dispatcher.on_sample(816, 808, 1)
+    command = dispatcher.confirm(816, 808, 1)
     assert command is not None
     assert (command.mask, command.raw, command.tick, done.result()) == (2, members, 808, 808)

@@ -58,7 +58,7 @@ class _Measured(CommandSequence):
         yield from super()._goal(step)
         if self.measures:
             yield 2.2
-            self.measures, self.report = False, self.sim.supervisor._streamer.report
+            self.measures, self.report = False, self.sim.supervisor.parts.streamer.report
 
     def _on_states(self, message: JointState) -> None:
         super()._on_states(message)

@@ -22,10 +22,11 @@ from servo_bridge.bursts.recording import POLL, BurstRecording, Phase
 from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered, error_of
+from servo_bridge.part import Part
 from servo_msgs_py import topics
 
 
-class RecordService:
+class RecordService(Part):
     """Configures a recorder, and publishes its recording.
 
     The configuration is published before the recorder starts, because a twin must sample the same from the first point.
@@ -65,9 +66,9 @@ class RecordService:
         self._timer.cancel()
         self._service = DeferredService(node, SetBool, topics.RECORD, lambda request: self._on_record(request.data))
 
-    def link_lost(self) -> None:
+    def lost(self, reason: str) -> None:
         """End the recording without a result."""
-        self._end("the link to the board was lost")
+        self._end(f"the link to the board was lost: {reason}")
 
     def _on_record(self, begin: bool) -> Future[Outcome]:
         if begin and self._recording is not None:

@@ -29,6 +29,7 @@ from std_srvs.srv import SetBool
 from servo_bridge.board_context import BoardContext
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered
+from servo_bridge.part import Part
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.plan import Block, Plan, read_blocks
 from servo_bridge.tuning.process import TuningProcess
@@ -54,7 +55,7 @@ class _LinkMemory:
         return self._call(lambda session: SessionPort(session).write_words(name, words, first)).result(_TIMEOUT)
 
 
-class TuningService:
+class TuningService(Part):
     """Executes the service and publishes the configuration of the board.
 
     Parameters
@@ -86,7 +87,7 @@ class TuningService:
         self._post = context.post
         self._take, self._taken = take, taken
         self._process = TuningProcess()
-        self._busy = False
+        self._waiting: Future[Outcome] | None = None  # answer of the call in progress
         self._published: list[Block] | None = None  # since the connection
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._publisher = node.create_publisher(Int64MultiArray, topics.TUNING, latched_qos())
@@ -101,22 +102,25 @@ class TuningService:
         self._jobs.put(self._refresh)
 
     def close(self) -> None:
-        """Abort the present job; the thread ends."""
+        """Abort the present job and answer its call; the thread ends."""
         self._process.close()
         self._jobs.put(None)
+        if self._waiting is not None:
+            self._answer(self._waiting, (False, "the bridge has closed the connection to the board"))
 
     def _on_tune(self, send: bool) -> Future[Outcome]:
         if not self.path:
             return answered(False, "the parameter tuning is empty; set it to the path of a TOML file first")
-        if self._busy:
+        if self._waiting is not None:
             return answered(False, "a tune request is in progress; call again after its response")
-        self._busy = True
-        answer: Future[Outcome] = Future()
+        self._waiting = answer = Future[Outcome]()
         self._jobs.put(partial(self._tune, Path(self.path), send, answer))
         return answer
 
     def _answer(self, answer: Future[Outcome], outcome: Outcome) -> None:
-        self._busy = False
+        if answer is not self._waiting:
+            return  # answered by `close`
+        self._waiting = None
         success, message = outcome
         (self._context.info if success else self._context.warn)(f"tune: {message.splitlines()[-1]}")
         answer.set_result(outcome)
