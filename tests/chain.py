@@ -36,7 +36,7 @@ from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, Int64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge import tool
@@ -266,7 +266,7 @@ class User:
         for name, kind, qos in (
             ("/servo/joint_states", JointState, deep),
             ("/servo/snapshot", Float64MultiArray, deep),
-            ("/servo/commands_applied", Float64MultiArray, deep),
+            ("/servo/commands_applied", Int64MultiArray, deep),
             ("/servo/state", String, latched),
             ("/servo/link", DiagnosticStatus, latched),
             ("/servo/armed", Bool, latched),

@@ -14,7 +14,7 @@ from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_sta
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray, Int64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.client import STEP, Client, CommandError, Session
@@ -52,7 +52,7 @@ class ServoClient(Client):
         deep = telemetry_qos(1000)
         self._names = self.create_subscription(JointState, self.of(topics.JOINT_STATES), self._on_names, deep)
         self.create_subscription(Float64MultiArray, self.of(topics.SNAPSHOT), self._on_snapshot, deep)
-        self.create_subscription(Float64MultiArray, self.of(topics.COMMANDS_APPLIED), self._on_applied, deep)
+        self.create_subscription(Int64MultiArray, self.of(topics.COMMANDS_APPLIED), self._on_applied, deep)
         self.create_subscription(String, self.of(topics.STATE), self._on_state, latched_qos())
         self.create_subscription(DiagnosticStatus, self.of(topics.LINK), self._on_link, latched_qos())
         self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
@@ -187,7 +187,7 @@ class ServoClient(Client):
             self._rows.clear()
         self._rows.extend(rows)
 
-    def _on_applied(self, message: Float64MultiArray) -> None:
+    def _on_applied(self, message: Int64MultiArray) -> None:
         self.applied.append(applied_from_message(message))
 
     def _on_description(self, message: String) -> None:

@@ -20,7 +20,7 @@ from servo_msgs_py.convert import applied_from_message, from_stamp
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.runtime.program import complain
 from servo_msgs_py.runtime.qos import telemetry_qos
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Int64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from servo_bridge.client import CommandError
@@ -55,7 +55,7 @@ class Motions:
         self._applied: set[str] = set()  # variables of the set-points that took effect
         node, of = commander, commander.of
         node.create_subscription(JointState, of(topics.JOINT_STATES), self._on_sample, telemetry_qos())
-        node.create_subscription(Float64MultiArray, of(topics.COMMANDS_APPLIED), self._on_applied, telemetry_qos())
+        node.create_subscription(Int64MultiArray, of(topics.COMMANDS_APPLIED), self._on_applied, telemetry_qos())
         commander.watch()
         commander.wait_for(lambda: self._samples, f"no {of(topics.JOINT_STATES)} were received")
 
@@ -249,5 +249,5 @@ class Motions:
         self._received = time.monotonic()
         self._samples.append((from_stamp(message.header.stamp) * 1e-9, message))
 
-    def _on_applied(self, message: Float64MultiArray) -> None:
+    def _on_applied(self, message: Int64MultiArray) -> None:
         self._applied.add(applied_from_message(message).variable)

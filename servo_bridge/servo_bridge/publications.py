@@ -21,7 +21,7 @@ from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
-from std_msgs.msg import Bool, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64MultiArray, Int64MultiArray, String
 
 from servo_bridge.homing import Homing
 from servo_bridge.part import Part
@@ -78,7 +78,7 @@ class Publications(Part):
         deep, latched = telemetry_qos(), latched_qos()
         self._joint_states = node.create_publisher(JointState, topics.JOINT_STATES, deep)
         self._snapshot = node.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
-        self._applied = node.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
+        self._applied = node.create_publisher(Int64MultiArray, topics.COMMANDS_APPLIED, deep)
         self._parameters = node.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self._windings = node.create_publisher(Float64MultiArray, topics.WINDING_TEMPERATURES, latched)
         self._fault_records = [

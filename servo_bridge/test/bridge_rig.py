@@ -33,7 +33,7 @@ from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.convert import applied_from_message, parameters_from_message, snapshot_table
 from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, Int64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from servo_msgs_py import topics
@@ -201,7 +201,7 @@ class Rig:
         for name, kind in (
             (topics.JOINT_STATES, JointState),
             (topics.SNAPSHOT, Float64MultiArray),
-            (topics.COMMANDS_APPLIED, Float64MultiArray),
+            (topics.COMMANDS_APPLIED, Int64MultiArray),
             (topics.DIAGNOSTICS, DiagnosticArray),
             (f"var/{parameters.get('joints', ['axis1'])[0]}/i_q", Float64),
         ):

@@ -17,18 +17,19 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, Int64MultiArray, MultiArrayDimension
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.board_parameters import RawParameters, parameters, si
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINT_WORDS
-from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES, PARAMETERS
+from servo_msgs_py.topics import COMMAND_VARIABLES, COMMANDS_APPLIED, PARAMETERS
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import to_raw
 
 _NS: Final = 1_000_000_000
+_APPLIED_HEAD: Final = 2  # numbers before the values of an applied command: tick, mask
 
 
 # ---- time
@@ -241,16 +242,16 @@ class AppliedCommand:
     mask: int  # bit per written axis; bit 0 is axis 1
 
 
-def applied_message(applied: AppliedCommand) -> Float64MultiArray:
-    """Message of `COMMANDS_APPLIED`; integers below 2^53 are exact."""
-    numbers = [COMMAND_VARIABLES.index(applied.variable), applied.tick, applied.mask, *applied.raw]
-    width = len(numbers)
-    message = Float64MultiArray(data=array("d", numbers))
-    message.layout.dim = [MultiArrayDimension(label=",".join(COMMAND_COLUMNS), size=width, stride=width)]
+def applied_message(applied: AppliedCommand) -> Int64MultiArray:
+    """Message of `COMMANDS_APPLIED`."""
+    message = Int64MultiArray(data=array("q", [applied.tick, applied.mask, *applied.raw]))
+    count = len(applied.raw)
+    message.layout.data_offset = _APPLIED_HEAD
+    message.layout.dim = [MultiArrayDimension(label=applied.variable, size=count, stride=count)]
     return message
 
 
-def applied_from_message(message: Float64MultiArray) -> AppliedCommand:
+def applied_from_message(message: Int64MultiArray) -> AppliedCommand:
     """Read a message of `COMMANDS_APPLIED`.
 
     Raises
@@ -258,16 +259,12 @@ def applied_from_message(message: Float64MultiArray) -> AppliedCommand:
     ValueError
         If the format is wrong.
     """
-    if len(message.data) < len(COMMAND_COLUMNS) or not all(float(x).is_integer() for x in message.data):
-        raise ValueError(
-            f"commands_applied: {len(COMMAND_COLUMNS)} or more whole numbers expected, received {list(message.data)}"
-        )
-    index, tick, mask, *raw = (int(x) for x in message.data)
-    if not (0 <= index < len(COMMAND_VARIABLES) and 0 < mask < 1 << AXES):
-        raise ValueError(f"commands_applied: variable {index} or mask {mask} does not exist")
-    name = COMMAND_VARIABLES[index]
-    if not _valid_length(name, len(raw), mask):
-        raise ValueError(f"commands_applied: {len(raw)} numbers of {name}")
+    name = ",".join(dim.label for dim in message.layout.dim)
+    if name not in COMMAND_VARIABLES:
+        raise ValueError(f"{COMMANDS_APPLIED}: {name!r} is not a command; use the same version everywhere")
+    tick, mask, *raw = message.data if len(message.data) >= _APPLIED_HEAD else (0, 0)
+    if not (0 < mask < 1 << AXES and _valid_length(name, len(raw), mask)):
+        raise ValueError(f"{COMMANDS_APPLIED}: {name} has {len(raw)} values for the axes of mask {mask}")
     return AppliedCommand(name, tick, tuple(raw), mask)
 
 

@@ -15,7 +15,8 @@ SNAPSHOT: Final = "snapshot"
 STAMP_COLUMNS: Final = ("stamp.sec", "stamp.nanosec")
 """Last two columns of `SNAPSHOT`: exact ROS time of the row."""
 COMMANDS_APPLIED: Final = "commands_applied"
-"""std_msgs/Float64MultiArray: one applied write, see `COMMAND_COLUMNS`; raw firmware integers."""
+"""std_msgs/Int64MultiArray: one applied write. The label of the dimension is the variable; the data are the tick of its
+effect, the bit mask of the written axes, and the raw numbers of `servo_msgs_py.convert.AppliedCommand`."""
 PARAMETERS: Final = "parameters"
 """std_msgs/Float64MultiArray, latched: all parameters of the board, one row in the format of `SNAPSHOT`."""
 FAULT_RECORD: Final = "fault_record"
@@ -92,12 +93,7 @@ COMMAND_VARIABLES: Final = (
     "cmd.home_position",
     "cmd.home",
 )
-"""Command variables in the order of their numbers in `COMMANDS_APPLIED`; the bridge does not write ``cmd.test_*``."""
-
-COMMAND_COLUMNS: Final = ("variable", "applied_tick", "axes_mask", "raw_axis1", "raw_axis2")
-"""Columns of `COMMANDS_APPLIED`: index into `COMMAND_VARIABLES`, tick, bit mask of the written axes, raw numbers. For
-``cmd.points`` the raw numbers of the axes are replaced by all written words, for ``config.take`` by the members of the
-blocks, one axis after the other."""
+"""Command variables; the bridge does not write ``cmd.test_*``."""
 
 
 def variable_topic(name: str, joints: Sequence[str] = ()) -> str:

@@ -18,7 +18,7 @@ from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_VARIABLES
 from servo_msgs_py.trace import Trace
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Int64MultiArray, MultiArrayDimension
 
 from servo_msgs_py import convert
 
@@ -119,7 +119,7 @@ def test_damaged_tables_are_refused(damage: str) -> None:
 # ---- applied commands
 @given(
     st.sampled_from(COMMAND_VARIABLES),
-    st.integers(0, 2**53 - 1),
+    st.integers(0, 2**63 - 1),
     st.lists(st.integers(-(2**31), 2**32 - 1), min_size=32, max_size=32).map(lambda numbers: numbers * 10),
     st.integers(1, 8),
     st.integers(1, 3),
@@ -128,18 +128,20 @@ def test_applied_commands_are_exact(variable: str, tick: int, raw: list[int], po
     members = bin(mask).count("1") * len(AxisConfigTable.load())
     count = {"cmd.points": POINT_WORDS * points, "config.take": members}.get(variable, 2)
     applied = AppliedCommand(variable, tick, tuple(raw[:count]), mask)
-    message = deserialize_message(serialize_message(convert.applied_message(applied)), Float64MultiArray)
+    message = deserialize_message(serialize_message(convert.applied_message(applied)), Int64MultiArray)
     assert convert.applied_from_message(message) == applied
 
 
 @pytest.mark.parametrize(
-    "data", [[], [0.0, 1.0, 2.0, 3.0], [0.0, 1.5, 1.0, 0.0, 0.0], [99.0, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 4.0, 0.0, 0.0],
-             [math.nan, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [7.0, 1.0, 1.0, 0.0, 0.0],
-             [8.0, 1.0, 1.0, 0.0, 0.0]]
+    ("name", "data"), [("cmd.position", []), ("cmd.position", [1, 1, 0]), ("cmd.position", [1, 4, 0, 0]),
+                       ("cmd.position", [1, 1, 0, 0, 0]), ("cmd.other", [1, 1, 0, 0]), ("", [1, 1, 0, 0]),
+                       ("cmd.points", [1, 1, 0, 0]), ("config.take", [1, 1, 0, 0])]
 )  # fmt: skip
-def test_damaged_applied_commands_are_refused(data: list[float]) -> None:
+def test_damaged_applied_commands_are_refused(name: str, data: list[int]) -> None:
+    message = Int64MultiArray(data=data)
+    message.layout.dim = [MultiArrayDimension(label=name)]
     with pytest.raises(ValueError, match="commands_applied"):
-        convert.applied_from_message(Float64MultiArray(data=data))
+        convert.applied_from_message(message)
 
 
 # ---- words

@@ -183,7 +183,7 @@ class ServoTwin(Node):
         board, deep = self._board_namespace, telemetry_qos(200)
         applied = f"{board}/{topics.COMMANDS_APPLIED}"
         self.create_subscription(Float64MultiArray, f"{board}/{topics.SNAPSHOT}", self._on_snapshot, deep)
-        self.create_subscription(Float64MultiArray, applied, self._on_applied, deep)
+        self.create_subscription(Int64MultiArray, applied, self._on_applied, deep)
         parameters = f"{board}/{topics.PARAMETERS}"
         self.create_subscription(Float64MultiArray, parameters, self._on_parameters, latched_qos())
         windings = f"{board}/{topics.WINDING_TEMPERATURES}"
@@ -206,7 +206,7 @@ class ServoTwin(Node):
             return
         self._worker.add_samples(columns, table)
 
-    def _on_applied(self, message: Float64MultiArray) -> None:
+    def _on_applied(self, message: Int64MultiArray) -> None:
         try:
             command = applied_from_message(message)
         except ValueError as error:

@@ -26,7 +26,7 @@ from servo_msgs_py.runtime.node_shell import destroyed_on_error, run
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
-from std_msgs.msg import Bool, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64MultiArray, Int64MultiArray, String
 
 from servo_msgs_py import topics
 from servo_twin.view import scene
@@ -134,7 +134,7 @@ class ServoViewer(Node):
             self.create_subscription(Float64MultiArray, topic, partial(self._on_recording, topic, source), latched)
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, partial(self._on_description, description), latched)
-        self.create_subscription(Float64MultiArray, f"{board}/{topics.COMMANDS_APPLIED}", self._on_applied, deep)
+        self.create_subscription(Int64MultiArray, f"{board}/{topics.COMMANDS_APPLIED}", self._on_applied, deep)
         self.create_subscription(JointState, f"{twin}/{topics.RESIDUAL}", self._on_residual, deep)
         self.create_subscription(DiagnosticStatus, f"{board}/{topics.LINK}", self._on_link, latched)
         self.create_subscription(Bool, f"{twin}/{topics.HEALTHY}", self._on_healthy, latched)
@@ -180,7 +180,7 @@ class ServoViewer(Node):
         self._described = True
         self._viewer.joints(joints)
 
-    def _on_applied(self, message: Float64MultiArray) -> None:
+    def _on_applied(self, message: Int64MultiArray) -> None:
         try:
             command = applied_from_message(message)
         except ValueError as error:

@@ -68,7 +68,7 @@ class Rig:
         self.user = Node("user", namespace="servo", context=self.context)
         deep, latched = telemetry_qos(1000), latched_qos()
         self.snapshot = self.user.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
-        self.applied = self.user.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
+        self.applied = self.user.create_publisher(Int64MultiArray, topics.COMMANDS_APPLIED, deep)
         self.link = self.user.create_publisher(DiagnosticStatus, topics.LINK, latched)
         self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self.description = self.user.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
@@ -415,7 +415,7 @@ def test_parameters_of_another_version_are_reported(rig: Rig) -> None:
 
 def test_malformed_messages_are_ignored(rig: Rig) -> None:
     rig.snapshot.publish(Float64MultiArray(data=[1.0, 2.0]))
-    rig.applied.publish(Float64MultiArray(data=[1.5]))
+    rig.applied.publish(Int64MultiArray(data=[1]))
     rig.snapshot.publish(snapshot_message(["tick"], [[8.0]]))
     rig.until(lambda: "the snapshot has no" in rig.last("/twin/state"))
     rig.board.run(0.7)
