@@ -7,14 +7,14 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import pytest
-from servo_msgs_py.convert import state_label
+from servo_msgs_py.board_port import choose, place, write_axis
 from servo_msgs_py.text_file import read_toml
 from servo_msgs_py.units import PERIOD_NS
 from servo_tuning.reading import SERVO_TOML
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import ServoConfig
-from servo_twin.validation.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
+from servo_twin.validation.experiments.rig import fresh_board
 
 LIMIT: Final = 1.0
 """Current limit of the motor of axis 1 [A]."""
@@ -32,11 +32,6 @@ def small_motor() -> ServoConfig:
     return ServoConfig.of_table(table)
 
 
-def label(board: Board) -> str:
-    state, substate = (board.read_words(f"axis1.{name}")[0] for name in ("state", "substate"))
-    return state_label(board.catalogue, state, substate)
-
-
 def largest(board: Board, seconds: float, end: Callable[[], bool]) -> float:
     """Largest current of axis 1 until the end, sampled twice per period [A]."""
     current, start = 0.0, board.time_ns
@@ -47,7 +42,7 @@ def largest(board: Board, seconds: float, end: Callable[[], bool]) -> float:
             current = max(current, math.hypot(truth.i_d, truth.i_q))
         if end():
             return current
-    raise AssertionError(f"not within {seconds} s: {label(board)}")
+    raise AssertionError(f"not within {seconds} s: {place(board, 0)}")
 
 
 @pytest.mark.parametrize("start", [0.0, 0.4, math.pi / 2.0, 2.5])
@@ -55,8 +50,8 @@ def test_the_rotor_search_stays_within_the_limit_of_the_motor(small_motor: Servo
     plant = PlantConfig.load().with_axis(0, theta_start=start)
     with fresh_board(plant, 3, small_motor) as board:
         board.run(0.1)
-        set_axis(board, "cmd.enable", 0, 1)
-        current = largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
+        write_axis(board, "cmd.enable", 0, 1)
+        current = largest(board, 5.0, lambda: place(board, 0) == "SPIN")
     assert 0.5 * LIMIT < current <= LIMIT + RIPPLE
 
 
@@ -65,21 +60,21 @@ def test_failed_rotor_search_stays_within_the_limit_of_the_motor(small_motor: Se
     with fresh_board(PlantConfig.load(), 3, small_motor) as board:
         board.lock_shaft(0)
         board.run(0.1)
-        set_axis(board, "cmd.enable", 0, 1)
-        current = largest(board, 5.0, lambda: label(board) == "FAULT")
+        write_axis(board, "cmd.enable", 0, 1)
+        current = largest(board, 5.0, lambda: place(board, 0) == "FAULT")
     assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
 
 
 def test_stall_test_stays_within_the_limit_of_the_motor(small_motor: ServoConfig) -> None:
     with fresh_board(PlantConfig.load(), 3, small_motor) as board:
         board.run(0.1)
-        set_axis(board, "cmd.enable", 0, 1)
-        largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
+        write_axis(board, "cmd.enable", 0, 1)
+        largest(board, 5.0, lambda: place(board, 0) == "SPIN")
         board.write("param.command_timeout", 0.0)
         board.lock_shaft(0)
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, 100.0)
-        current = largest(board, 5.0, lambda: label(board) == "FAULT")
+        choose(board, "cmd.mode", 0, "SPEED")
+        write_axis(board, "cmd.speed", 0, 100.0)
+        current = largest(board, 5.0, lambda: place(board, 0) == "FAULT")
     assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
 
 
@@ -88,9 +83,9 @@ def test_sensorless_start_stays_within_the_limit_of_the_motor(small_motor: Servo
         board.write("param.command_timeout", 0.0)
         board.write_raw("param.feedback", [1, 0])
         board.run(0.1)
-        set_axis(board, "cmd.enable", 0, 1)
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, 150.0)
-        current = largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
+        write_axis(board, "cmd.enable", 0, 1)
+        choose(board, "cmd.mode", 0, "SPEED")
+        write_axis(board, "cmd.speed", 0, 150.0)
+        current = largest(board, 5.0, lambda: place(board, 0) == "SPIN")
         current = max(current, largest(board, 0.5, lambda: board.truth(0).omega_m > 140.0))
     assert 0.25 * LIMIT < current <= LIMIT + RIPPLE

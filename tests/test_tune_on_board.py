@@ -18,12 +18,13 @@ from servo_bridge.tool_commands import CommandFunction, Context
 from servo_bridge.tool_values import UsageError
 from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import Session, connect
+from servo_msgs_py.board_port import choose, write_axis, write_word
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.rig import choose_mode, command_position, command_speed, features
+from servo_twin.validation.experiments.rig import features
 
 from servo_bridge import tool
 
@@ -156,8 +157,8 @@ def test_another_motor_is_configured_without_a_compiler(tmp_path: Path) -> None:
                 break
         assert [board.read(f"axis{k}.substate") for k in (1, 2)] == [3, 3]
         start = [bench.raw(f"axis{k}.position")[0] for k in (1, 2)]
-        command_position(board, 0, start[0] + MOVE)
-        command_position(board, 1, start[1] - MOVE)
+        write_word(board, "cmd.position", 0, start[0] + MOVE)
+        write_word(board, "cmd.position", 1, start[1] - MOVE)
         peak = [0, 0]
         for _ in range(60):
             board.run(0.05)
@@ -178,7 +179,7 @@ def test_no_loop_is_late_when_both_axes_take_blocks(tmp_path: Path) -> None:
         bench = ToolBench(board)
         for axis in range(2):
             features(board, axis, **dict.fromkeys(on, True))
-            command_position(board, axis, bench.raw(f"axis{axis + 1}.position")[0] + 200_000)
+            write_word(board, "cmd.position", axis, bench.raw(f"axis{axis + 1}.position")[0] + 200_000)
         board.run(0.1)
         for number, source in enumerate((file, CONFIG, file), 1):
             assert bench.tool("tune", source) == 0
@@ -227,10 +228,10 @@ def test_gains_change_in_motion_without_a_step(tmp_path: Path, what: str) -> Non
         board.run(0.01)
         assert bench.tool("tune", CONFIG, "--dry-run") == 0  # read the table of variables before the motion
         if what == "position":
-            command_position(board, 0, bench.raw("axis1.position")[0] + 200_000)
+            write_word(board, "cmd.position", 0, bench.raw("axis1.position")[0] + 200_000)
         else:
-            choose_mode(board, 0, "SPEED")
-            command_speed(board, 0, 280.0 if what == "ramp" else 120.0)
+            choose(board, "cmd.mode", 0, "SPEED")
+            write_axis(board, "cmd.speed", 0, 280.0 if what == "ramp" else 120.0)
         board.set_load(0, 0.03)
         line.advance(board.time_ns + 300_000_000)
         line.seen.clear()

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 import pytest
+from servo_msgs_py.board_port import choose, write_axis, write_word
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import PERIOD_NS
 from servo_tuning.linear import spectral_radius
@@ -16,17 +17,7 @@ from servo_tuning.reading import load
 from servo_tuning.tuned import Tuned, tuned
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.rig import (
-    COUNT,
-    TICK,
-    choose_mode,
-    command_position,
-    command_speed,
-    features,
-    record,
-    set_axis,
-    spinning,
-)
+from servo_twin.validation.experiments.rig import COUNT, TICK, features, record, spinning
 
 CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
 SEED: Final = 1
@@ -71,8 +62,8 @@ def test_stability_limit_of_the_speed_loop_agrees_with_the_prediction(axes: list
     for inertia in (1.15 * critical, critical / 1.15):
         with spinning(shaft_with(axis, inertia), SEED) as board:
             feedback_alone(board, axis)
-            choose_mode(board, axis, "SPEED")
-            command_speed(board, axis, BASE)
+            choose(board, "cmd.mode", axis, "SPEED")
+            write_axis(board, "cmd.speed", axis, BASE)
             part = record(board, [axis], 1.0)[axis].part(0.6)
         swings.append(float(np.ptp(part["omega"])))
     assert swings[0] < 0.1 * BASE
@@ -88,7 +79,7 @@ def test_deflection_by_a_load_step_in_motion_agrees_with_the_prediction(axes: li
     with spinning(PlantConfig.load(), SEED) as board:
 
         def move(k: int) -> None:
-            command_position(board, axis, round(k * TICK * BASE / COUNT))
+            write_word(board, "cmd.position", axis, round(k * TICK * BASE / COUNT))
 
         def load(k: int) -> None:
             move(2000 + k)
@@ -116,10 +107,10 @@ def test_current_step_of_a_blocked_shaft_agrees_with_the_prediction(axes: list[T
     it = axes[axis]
     with spinning(PlantConfig.load(), SEED) as board:
         board.lock_shaft(axis)
-        choose_mode(board, axis, "TORQUE")
-        set_axis(board, "cmd.i_q", axis, 1.0)
+        choose(board, "cmd.mode", axis, "TORQUE")
+        write_axis(board, "cmd.i_q", axis, 1.0)
         record(board, [axis], 0.05)
-        set_axis(board, "cmd.i_q", axis, 2.0)
+        write_axis(board, "cmd.i_q", axis, 2.0)
         start = board.time_ns
         currents = []
         for k in range(80):  # twice per period

@@ -8,12 +8,12 @@ shaft.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Final
 
+from servo_msgs_py.board_port import choose, place, reached
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
 
@@ -103,15 +103,15 @@ class AxisUnderTest:
 
     @property
     def substate(self) -> str:
-        """Substate of RUN; empty in another state."""
-        return self.label("substate") if self.label("state") == "RUN" else ""
+        """Substate of RUN, or the state."""
+        return place(self.access, self.axis)
 
     # ---- set-points --------------------------------------------------------------------------------------------------
 
     def mode(self, mode: str) -> None:
         """Change the mode; the previous set-point is no longer rewritten."""
         self.release()
-        self.write_word("cmd.mode", self.access.catalogue.enums["control_mode_t"][mode])
+        choose(self.access, "cmd.mode", self.axis, mode)
 
     def command(self, variable: str, value: float) -> None:
         """Write a set-point [SI] and rewrite it from now on; an error if the previous one has expired."""
@@ -141,6 +141,10 @@ class AxisUnderTest:
 
     # ---- supervision -------------------------------------------------------------------------------------------------
 
+    def clock(self) -> float:
+        """Time of the access [s]."""
+        return self.access.clock()
+
     def wait(self, seconds: float) -> None:
         """Wait [s] while rewriting the set-point; it is also rewritten if communication has taken the whole time."""
         while True:
@@ -161,13 +165,15 @@ class AxisUnderTest:
 
     def reached(self, condition: Callable[[], bool], seconds: float, *, refuse_on_fault: bool = True) -> bool:
         """Wait up to `seconds` [s] for a condition; False at the timeout. A fault is an error if `refuse_on_fault`."""
-        for _ in range(math.ceil(seconds / POLL_TIME - 1e-6)):
+
+        def holds() -> bool:
             if condition():
                 return True
             if refuse_on_fault:
                 refuse_faults(self.access, self.axis)
-            self.wait(POLL_TIME)
-        return condition()
+            return False
+
+        return reached(self, holds, seconds, POLL_TIME)
 
     def until(
         self,

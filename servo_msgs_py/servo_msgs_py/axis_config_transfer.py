@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.board_port import BoardPort, BoardWords, until
+from servo_msgs_py.board_port import BoardPort, BoardWords, reached
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 _HEAD: Final = 3  # words of the window before the members
@@ -110,7 +110,7 @@ def take_blocks(board: BoardPort, axes: Sequence[int]) -> AppliedBlocks:
     """
     before = board.read_words("config.answers")
     _write(board, "config.take", [sum(1 << axis for axis in axes)])
-    if not until(board, lambda: board.read_words("config.answers") != before, _TAKE_TIME):
+    if not reached(board, lambda: board.read_words("config.answers") != before, _TAKE_TIME):
         raise BlockRefusedError("BUSY", _TEXTS["BUSY"])
     return take_result(board)
 

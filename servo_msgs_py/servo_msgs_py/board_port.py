@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
@@ -46,8 +46,8 @@ class BoardPort(BoardTime, BoardWords, Protocol):
         """Catalogue of its variables."""
 
 
-def until(board: BoardTime, holds: Callable[[], bool], seconds: float, step: float = TICK) -> bool:
-    """Wait until a condition holds.
+def reached(board: BoardTime, holds: Callable[[], bool], seconds: float, step: float = TICK) -> bool:
+    """Wait for a condition.
 
     Parameters
     ----------
@@ -71,3 +71,54 @@ def until(board: BoardTime, holds: Callable[[], bool], seconds: float, step: flo
             return False
         board.wait(step)
     return True
+
+
+def word(board: BoardPort, axis: int, name: str) -> int:
+    """Raw integer of a variable of an axis."""
+    return board.read_words(f"{axis_name(axis)}.{name}")[0]
+
+
+def place(board: BoardPort, axis: int) -> str:
+    """Sub-state of an axis in RUN, or its state."""
+    state = board.catalogue.label("state_t", word(board, axis, "state"))
+    return board.catalogue.label("substate_t", word(board, axis, "substate")) if state == "RUN" else state
+
+
+def active(board: BoardPort, axis: int, name: str = "faults") -> set[str]:
+    """Names of the set flags in a word of an axis."""
+    return {flag.name for flag in board.catalogue.active(name, word(board, axis, name))}
+
+
+def first_fault(board: BoardPort, axis: int) -> str:
+    """Name of the first fault of an axis; empty: none."""
+    code = word(board, axis, "first_fault")
+    return next((fault.name for fault in board.catalogue.flags["faults"] if fault.bit + 1 == code), "")
+
+
+def read_axis(board: BoardPort, name: str, axis: int) -> float:
+    """One element of an array variable [SI]."""
+    return float(board.catalogue[name].scale(board.read_words(name)[axis]))
+
+
+def write_axis(board: BoardPort, name: str, axis: int, value: float) -> None:
+    """Write one element of an array variable [SI], without a write to the other axis.
+
+    Raises
+    ------
+    ValueError
+        If the value is outside the limits of the variable, or the board refuses it.
+    """
+    write_word(board, name, axis, board.catalogue[name].to_raw(value))
+
+
+def write_word(board: BoardPort, name: str, axis: int, raw: int) -> None:
+    """As `write_axis`, with the raw integer."""
+    if not board.write_words(name, [raw], axis):
+        raise ValueError(f"{name}: the board refuses {raw} for {axis_name(axis)}")
+
+
+def choose(board: BoardPort, name: str, axis: int, label: str) -> None:
+    """Write one element of an array of enumeration values by its name, such as ``SPEED``."""
+    enum = board.catalogue[name].enum
+    assert enum is not None
+    write_word(board, name, axis, board.catalogue.enums[enum][label])

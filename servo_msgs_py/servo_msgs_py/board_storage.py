@@ -10,7 +10,7 @@ import secrets
 from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
-from servo_msgs_py.board_port import BoardPort, BoardWords, until
+from servo_msgs_py.board_port import BoardPort, BoardWords, reached
 from servo_msgs_py.catalogue import Catalogue
 
 Kind = Literal["SAVE", "FACTORY"]
@@ -152,7 +152,7 @@ def execute_request(board: BoardPort, kind: Kind) -> Storage:
         results.append(request_result(board, token))
         return results[-1] is not None
 
-    if not until(board, ended, _REQUEST_TIME) or (result := results[-1]) is None:
+    if not reached(board, ended, _REQUEST_TIME) or (result := results[-1]) is None:
         raise StorageRefusedError("BUSY", _REFUSALS["BUSY"])
     return result
 

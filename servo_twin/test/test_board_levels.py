@@ -7,6 +7,7 @@ import threading
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import active
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import TRACE_ENTRY, Board, BoardError, ChipError, SimulationError
@@ -15,7 +16,6 @@ from servo_twin.fault_injection import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable, move
-from servo_twin.validation.experiments.named_faults import faults
 
 LEVELS: tuple[Level, ...] = ("registers", "ideal")
 ENTER, LEAVE, LOAD, WRITE = 8, 9, 2, 10
@@ -181,7 +181,7 @@ class TestCore:
             with Board(level="registers", core=CoreSpeed(cycles, 30)) as board:
                 board.run(0.02)
                 assert (board.read_words("late_loops")[0] > 0) == (cycles > 2.0)
-                assert [faults(board, axis) for axis in range(2)] == [{"LATE_LOOP"} if cycles > 2.0 else set()] * 2
+                assert [active(board, axis) for axis in range(2)] == [{"LATE_LOOP"} if cycles > 2.0 else set()] * 2
 
     @pytest.mark.parametrize("level", LEVELS)
     @pytest.mark.parametrize("stall_us", [60, 80, 300, 990])

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from servo_msgs_py.board_port import active
 from servo_twin.board import Board
 from servo_twin.simulation import enable, move, record
-from servo_twin.validation.experiments.named_faults import faults
 
 pytestmark = pytest.mark.usefixtures("level")
 
@@ -44,7 +44,7 @@ def test_full_reversals_at_the_current_limit_are_no_runaway(board: Board) -> Non
     for speed in (300.0, -300.0, 300.0):
         spin(board, speed)
         board.run(0.4)
-        assert faults(board, 0) == faults(board, 1) == set()
+        assert active(board, 0) == active(board, 1) == set()
 
 
 BACK_MAX = 16
@@ -63,4 +63,4 @@ def test_stop_does_not_reverse_the_shaft(board: Board, i_q: float, acceleration:
     for axis in (0, 1):
         position = log[f"axis{axis + 1}.position"].astype(np.int64)
         assert position.max() - position[-1] <= BACK_MAX
-        assert faults(board, axis) == set()
+        assert active(board, axis) == set()

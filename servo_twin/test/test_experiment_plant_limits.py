@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from servo_msgs_py.board_port import choose, write_axis
 from servo_msgs_py.trace import Trace
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -18,15 +19,7 @@ from servo_twin.validation.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.validation.experiments.rig import (
-    COUNT,
-    TICK,
-    choose_mode,
-    command_speed,
-    record,
-    shaft_counts,
-    spinning,
-)
+from servo_twin.validation.experiments.rig import COUNT, TICK, record, shaft_counts, spinning
 
 SPEED = 314.0
 
@@ -130,8 +123,8 @@ def test_differences_from_nominal_values_as_text(plant: PlantConfig) -> None:
 def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: bool) -> None:
     with spinning(plant, 3) as board:
         board.set_supply(10.0)
-        choose_mode(board, 1, "SPEED")
-        command_speed(board, 1, 200.0)
+        choose(board, "cmd.mode", 1, "SPEED")
+        write_axis(board, "cmd.speed", 1, 200.0)
         if may_fail:
             words = record(board, [1], 1.0, may_fail=True)[1]["faults"]
             assert words[-1] & board.catalogue.flag("faults", "UNDER_VOLTAGE").mask
@@ -142,8 +135,8 @@ def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: 
 
 def test_the_true_shaft_angle_is_recorded_in_counts(plant: PlantConfig) -> None:
     with spinning(plant, 3) as board:
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, 10.0)
+        choose(board, "cmd.mode", 0, "SPEED")
+        write_axis(board, "cmd.speed", 0, 10.0)
         recording = record(board, [0], 0.2)[0]
     assert recording["position"][-1] > 900
     # The position is latched some microseconds before the end of the tick.

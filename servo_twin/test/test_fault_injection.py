@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from native_library import Native, c_axis, ideal_plant
+from servo_msgs_py.board_port import active
 from servo_twin.board import Board
 from servo_twin.fault_injection import (
     BusNoise,
@@ -24,7 +25,6 @@ from servo_twin.fault_injection import (
 )
 from servo_twin.level import Level
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.named_faults import faults
 from switching_rig import Switching
 
 STEP = 31.25e-6
@@ -236,15 +236,15 @@ def test_a_short_opens_the_switches_without_software(board: Board, fault: Inject
     board.run(100e-6)
     assert board.stats().breaks == 1
     board.run(0.002)
-    assert faults(board, 0) == {"OVER_CURRENT"}
+    assert active(board, 0) == {"OVER_CURRENT"}
     board.run(0.3)
     assert abs(board.truth(0).omega_m) < 10.0, "braked by the shorted windings"
-    assert faults(board, 1) == set()
+    assert active(board, 1) == set()
     assert board.truth(1).omega_m == pytest.approx(150.0, rel=0.05)
     board.clear_fault()
     board.write("cmd.clear_faults", [1, 0])
     board.run(0.05)
-    assert faults(board, 0) == set()
+    assert active(board, 0) == set()
 
 
 def test_open_phase_has_no_current(board: Board) -> None:
@@ -304,11 +304,11 @@ def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:
     assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.2)
     board.set_load(0, 0.04)
     board.inject(SupplyDip())
-    while not faults(board, 0):
+    while not active(board, 0):
         board.run(0.0005)
     board.set_load(0, 0.0)
     assert board.truth(0).u_dc < 16.5
-    assert faults(board, 0) == {"UNDER_VOLTAGE"}
+    assert active(board, 0) == {"UNDER_VOLTAGE"}
     board.clear_fault()
     board.run(0.05)
     assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.1)

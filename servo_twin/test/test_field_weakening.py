@@ -7,21 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from servo_msgs_py.board_port import choose, word, write_axis, write_word
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import field_weakening, rig
 from servo_twin.validation.experiments.field_weakening import RATED, at_rated
-from servo_twin.validation.experiments.rig import (
-    RPM,
-    choose_mode,
-    command_position,
-    command_speed,
-    features,
-    position_of,
-    record,
-    set_axis,
-    spinning,
-)
+from servo_twin.validation.experiments.rig import RPM, features, record, spinning
 
 AXIS = field_weakening.AXIS
 
@@ -39,10 +30,10 @@ def test_a_position_move_at_the_rated_speed_arrives() -> None:
     """No following error, and no more overshoot than at lower speeds."""
     with spinning(PlantConfig.load(), 5) as board:
         features(board, AXIS, FIELD_WEAKENING=True, FOLLOWING_ERROR=True, OVER_SPEED=True)
-        set_axis(board, "param.speed_limit", AXIS, RATED)
-        set_axis(board, "param.over_speed", AXIS, 480.0)
-        target = position_of(board, AXIS) + 30 * 4000
-        command_position(board, AXIS, target)
+        write_axis(board, "param.speed_limit", AXIS, RATED)
+        write_axis(board, "param.over_speed", AXIS, 480.0)
+        target = word(board, AXIS, "position") + 30 * 4000
+        write_word(board, "cmd.position", AXIS, target)
         move = record(board, [AXIS], 1.2)[AXIS]
     assert float(move["omega"].max()) > 0.98 * RATED
     assert float(move["i_d"].min()) < -0.3
@@ -52,15 +43,15 @@ def test_a_position_move_at_the_rated_speed_arrives() -> None:
 
 
 def test_negative_rated_speed_is_reached(rated: Board) -> None:
-    command_speed(rated, AXIS, -RATED)
+    write_axis(rated, "cmd.speed", AXIS, -RATED)
     rated.run(0.5)
     assert rated.truth(AXIS).omega_m == pytest.approx(-RATED, rel=0.005)
     assert rated.truth(AXIS).i_d < -0.3
 
 
 def test_torque_mode_reaches_the_speed_limit(rated: Board) -> None:
-    choose_mode(rated, AXIS, "TORQUE")
-    set_axis(rated, "cmd.i_q", AXIS, 0.5)
+    choose(rated, "cmd.mode", AXIS, "TORQUE")
+    write_axis(rated, "cmd.i_q", AXIS, 0.5)
     run = record(rated, [AXIS], 0.3)[AXIS]
     assert float(run["omega"][-100:].mean()) == pytest.approx(RATED, rel=0.01)
     assert float(run["omega"].std()) < 60.0 * RPM
@@ -81,11 +72,11 @@ def test_field_weakening_works_without_an_encoder() -> None:
     with spinning(PlantConfig.load(), 5) as board:
         board.write("cmd.enable", [0, 0])
         board.run(0.3)
-        set_axis(board, "param.feedback", AXIS, 1.0)
+        write_axis(board, "param.feedback", AXIS, 1.0)
         features(board, AXIS, FIELD_WEAKENING=True)
-        set_axis(board, "param.speed_limit", AXIS, RATED)
-        choose_mode(board, AXIS, "SPEED")
-        command_speed(board, AXIS, RATED)
+        write_axis(board, "param.speed_limit", AXIS, RATED)
+        choose(board, "cmd.mode", AXIS, "SPEED")
+        write_axis(board, "cmd.speed", AXIS, RATED)
         board.write("cmd.enable", [1, 0])
         board.run(2.0)
         for load, supply in ((0.0, 24.0), (field_weakening.STEP, 24.0), (0.02, 20.0), (0.02, 24.0)):

@@ -8,13 +8,14 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from servo_msgs_py.board_port import choose, write_axis
 from servo_twin.board import Board
 from servo_twin.fault_injection import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import braking, fault_matrix, levels, rotor_search, start_up
 from servo_twin.validation.experiments.command import run_experiments
-from servo_twin.validation.experiments.rig import TICK, at_level, choose_mode, command_speed, spinning
+from servo_twin.validation.experiments.rig import TICK, at_level, spinning
 from servo_twin.validation.timing.trace import Kind
 
 LEVELS: tuple[Level, ...] = ("ideal", "registers")
@@ -68,8 +69,8 @@ EDGE_HANDLERS = (24, 28)  # vectors of channel 0 of both timers
 @contextmanager
 def turning() -> Iterator[Board]:
     with at_level("registers"), spinning(PLANT, 1) as board:
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, 100.0)
+        choose(board, "cmd.mode", 0, "SPEED")
+        write_axis(board, "cmd.speed", 0, 100.0)
         board.run(0.1)
         yield board
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from servo_msgs_py.board_port import choose, word
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_twin.board import Board, BoardError
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.pins import FIRST_DROP, fit, load_of, wired
-from servo_twin.validation.experiments.rig import COUNT, choose_mode, position_of, prepared, spinning
+from servo_twin.validation.experiments.rig import COUNT, prepared, spinning
 
 FAR = 3.0  # [rad]
 
 
 def sent(board: Board, *points: tuple[float, float, float]) -> None:
     """Queue points of axis 1: time from now [s], distance from the present position [rad], speed [rad/s]."""
-    tick, here = board.read_words("tick")[0], position_of(board, 0) * COUNT
+    tick, here = board.read_words("tick")[0], word(board, 0, "position") * COUNT
     encoded = [TimedPoint(0, tick + round(16000 * at), here + distance, speed) for at, distance, speed in points]
     words = encode_points(board.catalogue, encoded)
     board.write_memory(board.address("cmd.points"), board.catalogue["cmd.points"].pack(words))
@@ -31,7 +32,7 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
     plant = wired(plant, limit_max=start + (request.param or -1.0))
     with prepared(lambda board: fit(board, "limit_max")), spinning(plant, 1) as found:
         found.write("param.faults_enabled", [0.0, 0.0])
-        choose_mode(found, 0, "TRAJECTORY")
+        choose(found, "cmd.mode", 0, "TRAJECTORY")
         found.run(0.2)
         yield found
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from servo_msgs_py.board_port import choose, write_axis
 from servo_twin.board import Board
 from servo_twin.fault_injection import BadContact, CurrentNoise, DryBearing, ShiftedDisc, WeakMagnet, WornShaft
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.rig import TICK, choose_mode, command_speed
+from servo_twin.validation.experiments.rig import TICK
 from servo_twin.validation.sweep.variant import Base
 
 LEVELS: list[Level] = ["ideal", "registers"]
@@ -31,9 +32,9 @@ def seen(board: Board) -> dict[str, float]:
     board.run(0.1)
     held = board.si(board.record(board.time_ns + 100_000_000))
     u_q, i_q = float(np.mean(held["axis1.u_q"])), float(np.mean(held["axis1.i_q"]))
-    command_speed(board, 0, SPEED + 60.0)
+    write_axis(board, "cmd.speed", 0, SPEED + 60.0)
     step = board.si(board.record(board.time_ns + 30_000_000))
-    command_speed(board, 0, SPEED)
+    write_axis(board, "cmd.speed", 0, SPEED)
     torque = plant.torque_constant * (step["axis1.i_q"] - i_q)
     speed = step["axis1.speed"]
     emf = plant.pole_pairs * SPEED * plant.psi_m
@@ -53,8 +54,8 @@ def test_change_of_the_plant_is_measured_by_the_drive(name: str, level: Level) -
     plant = PlantConfig.load().with_value("axis1.load_torque", LOAD)
     with Board(level=level, seed=3) as board:
         enable(board)
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, SPEED)
+        choose(board, "cmd.mode", 0, "SPEED")
+        write_axis(board, "cmd.speed", 0, SPEED)
         board.set_plant("axis1.load_torque", LOAD)
         before = seen(board)
         board.set_plant(name, CHANGES[name])
@@ -86,8 +87,8 @@ def test_empty_change_keeps_runs_bit_identical(level: Level) -> None:
     for again in (False, True):
         with Board(level=level, seed=5) as board:
             enable(board)
-            choose_mode(board, 0, "SPEED")
-            command_speed(board, 0, 60.0)
+            choose(board, "cmd.mode", 0, "SPEED")
+            write_axis(board, "cmd.speed", 0, 60.0)
             board.run(0.05)
             if again:
                 board.set_plant("axis1.r_s", board.plant.axes[0].r_s)
@@ -173,8 +174,8 @@ def test_worn_shaft_has_more_backlash(level: Level) -> None:
 def test_a_dry_bearing_takes_more_current(level: Level) -> None:
     with Board(level=level, seed=1) as board:
         enable(board)
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, SPEED)
+        choose(board, "cmd.mode", 0, "SPEED")
+        write_axis(board, "cmd.speed", 0, SPEED)
         before = seen(board)["axis1.friction"]
         board.inject(DryBearing(0, 4.0))
         after = seen(board)["axis1.friction"]
@@ -187,8 +188,8 @@ def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
     """The position error of a running shaft stays within the new bound, and no count is lost."""
     with Board(PlantConfig.load().with_axis(0, theta_start=0.0), level=level) as board:
         enable(board)
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, 20.0)
+        choose(board, "cmd.mode", 0, "SPEED")
+        write_axis(board, "cmd.speed", 0, 20.0)
         board.run(0.2)
 
         def error() -> float:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import choose, write_axis
 from servo_twin.board import Board, Truth
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.rig import choose_mode, command_speed, set_axis
 
 LEVELS: list[Level] = ["ideal", "registers"]
 PERIOD = 62_500  # [ns]
@@ -303,8 +303,8 @@ def test_inductance_falls_with_the_current(level: Level, current: float) -> None
     with Board(config, level=level, seed=2) as board:
         enable(board)
         board.lock_shaft(0)
-        choose_mode(board, 0, "TORQUE")
-        set_axis(board, "cmd.i_q", 0, current)
+        choose(board, "cmd.mode", 0, "TORQUE")
+        write_axis(board, "cmd.i_q", 0, current)
         board.run(0.01)
         truth = board.truth(0)
     axis = config.axes[0]
@@ -345,8 +345,8 @@ def test_warm_magnet_lowers_the_voltage(level: Level) -> None:
         with Board(config, level=level) as board:
             board.set_magnet(0, celsius)
             enable(board)
-            choose_mode(board, 0, "SPEED")
-            command_speed(board, 0, speed)
+            choose(board, "cmd.mode", 0, "SPEED")
+            write_axis(board, "cmd.speed", 0, speed)
             board.set_load(0, 0.02)
             board.run(0.3)
             log = board.si(board.record(board.time_ns + 100_000_000))

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from servo_msgs_py.board_port import active
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.fault_injection import HotPowerStage, OpenPhase, ShortedPhase
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.named_faults import fault_record, faults
+from servo_twin.validation.experiments.named_faults import fault_record
 
 pytestmark = pytest.mark.usefixtures("level")
 
@@ -110,7 +111,7 @@ def test_a_second_fault_does_not_overwrite_the_first(board: Board, axis: int) ->
     assert fault(first) == "OVER_TEMPERATURE"
     board.set_supply(36.0)
     board.run(0.05)
-    assert faults(board, axis) == {"OVER_TEMPERATURE", "OVER_VOLTAGE"}
+    assert active(board, axis) == {"OVER_TEMPERATURE", "OVER_VOLTAGE"}
     later = fault_record(board, axis)
     assert (later.fault, later.tick, later.place) == (first.fault, first.tick, first.place)
     np.testing.assert_array_equal(later.samples.table(), first.samples.table())

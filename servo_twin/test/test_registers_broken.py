@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from buffered_registers import poke_buffered
+from servo_msgs_py.board_port import active
 from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.named_faults import faults
 
 HALF = 3125  # clocks of half a PWM period
 PERIOD = 2 * HALF
@@ -160,8 +160,8 @@ def test_a_wrong_channel_causes_a_fault_of_its_axis_only(spinning: Board) -> Non
     spinning.run(0.1)
     spinning.poke(CLIST1, (spinning.peek(CLIST1) & 0xFFF0) | 6)
     spinning.run(0.1)
-    assert faults(spinning, 0)
-    assert not faults(spinning, 1)
+    assert active(spinning, 0)
+    assert not active(spinning, 1)
 
 
 # ---- interrupts -----------------------------------------------------------------------------------------------------
@@ -219,4 +219,4 @@ def test_wrong_compare_loses_a_count_per_turn(spinning: Board, speed: float, com
 def test_without_index_pulses_the_position_is_no_longer_plausible(spinning: Board) -> None:
     spinning.poke(TMRA + 0x26, 0)
     spinning.run(0.1)
-    assert faults(spinning, 0) == {"ENCODER"}
+    assert active(spinning, 0) == {"ENCODER"}

@@ -7,12 +7,12 @@ import math
 from collections.abc import Iterator
 
 import pytest
+from servo_msgs_py.board_port import active, choose, place, write_axis
 from servo_twin.board import Board
 from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.named_faults import faults, place
-from servo_twin.validation.experiments.rig import TICK, choose_mode, command_speed, features, set_axis
+from servo_twin.validation.experiments.rig import TICK, features
 
 pytestmark = pytest.mark.usefixtures("level")
 
@@ -53,15 +53,15 @@ def slip(board: Board, axis: int, degrees: float) -> None:
 
 
 def speed(board: Board, axis: int, rad_per_s: float) -> None:
-    choose_mode(board, axis, "SPEED")
-    command_speed(board, axis, rad_per_s)
+    choose(board, "cmd.mode", axis, "SPEED")
+    write_axis(board, "cmd.speed", axis, rad_per_s)
 
 
 def until_fault(board: Board, axis: int, seconds: float) -> tuple[float, set[str], float]:
     """Time until the first fault, its name, and the largest speed before it."""
     fastest = 0.0
     for k in range(round(seconds / TICK)):
-        if names := faults(board, axis):
+        if names := active(board, axis):
             return k * TICK, names, fastest
         board.run(TICK)
         fastest = max(fastest, abs(board.truth(axis).omega_m))
@@ -87,7 +87,7 @@ def test_slipping_disc_changes_the_count_without_motion(counts: int) -> None:
                 board.run(0.002)
         assert board.read_words("axis2.position")[0] - before == counts
         assert board.truth(1).theta_m == angle
-        assert faults(board, 1) == set()
+        assert active(board, 1) == set()
 
 
 # ---- in motion -------------------------------------------------------------------------------------------------------
@@ -103,7 +103,7 @@ def test_a_slip_in_motion_is_reported_before_the_shaft_gains_speed(board: Board,
     assert names == {"ANGLE_MISMATCH"}
     assert time < 0.02
     assert fastest < 140.0  # RUNAWAY's margin
-    assert faults(board, 1 - axis) == set()
+    assert active(board, 1 - axis) == set()
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -193,7 +193,7 @@ def test_shaft_released_during_the_stall_test_is_reported_as_stalled(board: Boar
     speed(board, 0, 60.0)
     while place(board, 0) != "ALIGN":
         board.run(TICK)
-        assert faults(board, 0) == set()
+        assert active(board, 0) == set()
     board.run(part * PROOF)
     board.lock_shaft(0, False)
     _, names, fastest = until_fault(board, 0, 1.0)
@@ -220,8 +220,8 @@ def coast(board: Board, axis: int, rad_per_s: float) -> None:
     """In torque mode, with a current of 0."""
     speed(board, axis, rad_per_s)
     board.run(0.05 + abs(rad_per_s) / 1000.0)
-    choose_mode(board, axis, "TORQUE")
-    set_axis(board, "cmd.i_q", axis, 0.0)
+    choose(board, "cmd.mode", axis, "TORQUE")
+    write_axis(board, "cmd.i_q", axis, 0.0)
     board.run(0.01)
 
 
@@ -244,13 +244,13 @@ def test_a_coasting_shaft_that_is_stopped_at_once_is_no_fault(board: Board, rad_
     board.lock_shaft(0, False)
     speed(board, 0, rad_per_s)
     board.run(0.3)
-    assert faults(board, 0) == set()
+    assert active(board, 0) == set()
     assert board.truth(0).omega_m == pytest.approx(rad_per_s, abs=8.0)
 
 
 def test_a_shaft_at_rest_without_current_is_no_fault(board: Board) -> None:
-    choose_mode(board, 0, "TORQUE")
-    set_axis(board, "cmd.i_q", 0, 0.0)
+    choose(board, "cmd.mode", 0, "TORQUE")
+    write_axis(board, "cmd.i_q", 0, 0.0)
     board.run(0.2)
     board.connect_encoder(0, False)
     assert until_fault(board, 0, 0.3)[1] == set()

@@ -7,13 +7,14 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
 
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import inertia_ratio
-from servo_twin.validation.experiments.rig import RPM, TICK, command_speed, largest, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, TICK, largest, record, set_up, spinning
 
 NAME: Final = "anti-windup"
 HELP: Final = """\
@@ -64,7 +65,7 @@ def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) 
         set_up(board, AXIS, "SPEED", parameters=parameters, ANTI_WINDUP=anti_windup)
 
         def act(k: int) -> None:
-            command_speed(board, AXIS, AMPLITUDE * np.sin(2.0 * np.pi * frequency * k * TICK))
+            write_axis(board, "cmd.speed", AXIS, AMPLITUDE * np.sin(2.0 * np.pi * frequency * k * TICK))
 
         return record(board, [AXIS], warm_up + MEASURED / frequency, act)[AXIS].part(warm_up)
 

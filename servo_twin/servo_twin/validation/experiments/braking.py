@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import active, write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
 
@@ -16,16 +17,7 @@ from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import over_voltage, top_speed
-from servo_twin.validation.experiments.rig import (
-    RPM,
-    TICK,
-    command_speed,
-    flags_of,
-    largest,
-    set_axis,
-    set_up,
-    spinning,
-)
+from servo_twin.validation.experiments.rig import RPM, TICK, largest, set_up, spinning
 
 NAME: Final = "braking"
 HELP: Final = """\
@@ -87,7 +79,7 @@ def _run_up(board: Board, speed: float) -> None:
         set_up(board, axis, "SPEED", speed, parameters={"speed_limit": limit})
     board.run(RUN_UP)
     for axis in range(AXES):
-        set_axis(board, "param.acceleration_limit", axis, largest(board, "acceleration_limit"))
+        write_axis(board, "param.acceleration_limit", axis, largest(board, "acceleration_limit"))
     board.run(10 * TICK)
 
 
@@ -99,10 +91,10 @@ def stop(plant: PlantConfig, seed: int, speed: float, resistor: float) -> Stop:
         rows: list[tuple[float, float, float, float]] = []
         flags: set[str] = set()
         for axis in range(AXES):
-            command_speed(board, axis, 0.0)
+            write_axis(board, "cmd.speed", axis, 0.0)
         for _ in range(round(STOP_TIME / TICK)):
             board.run(TICK)
-            flags.update(*(flags_of(board, axis, name) for axis in range(AXES) for name in ("limits", "faults")))
+            flags.update(*(active(board, axis, name) for axis in range(AXES) for name in ("limits", "faults")))
             one, other = board.truth(0), board.truth(1)
             rows.append((one.u_dc, one.omega_m, other.omega_m, one.e_brake))
             if max(abs(one.omega_m), abs(other.omega_m)) < 0.1 and len(rows) * TICK > 0.2:

@@ -8,10 +8,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from servo_msgs_py.board_port import active, choose, place, reached, read_axis, word, write_axis, write_word
+
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant
 from servo_twin.simulation import SimulationError
-from servo_twin.validation.experiments import named_faults, rig
+from servo_twin.validation.experiments import rig
 
 BOOT: Final = 0.03  # reset to STOP [s]
 REACHED_TIME: Final = 5.0  # timeout for reaching a state [s]
@@ -38,15 +40,10 @@ class Bench:
     other_limit: float = field(init=False)  # speed limit of the other axis [rad/s]
 
     def __post_init__(self) -> None:
-        self.speed_limit = self._parameter("param.speed_limit", self.axis)
-        self.acceleration = self._parameter("param.acceleration_limit", self.axis)
-        self.current = self._parameter("param.i_q_limit", self.axis)
-        self.other_limit = self._parameter("param.speed_limit", self.other)
-
-    def _parameter(self, name: str, axis: int) -> float:
-        values = self.board.read(name)
-        assert isinstance(values, list)
-        return float(values[axis])
+        self.speed_limit = read_axis(self.board, "param.speed_limit", self.axis)
+        self.acceleration = read_axis(self.board, "param.acceleration_limit", self.axis)
+        self.current = read_axis(self.board, "param.i_q_limit", self.axis)
+        self.other_limit = read_axis(self.board, "param.speed_limit", self.other)
 
     @property
     def other(self) -> int:
@@ -58,62 +55,49 @@ class Bench:
         return OTHER_SPEED * self.other_limit
 
     # ---- state
-    def _which(self, axis: int | None) -> int:
-        return self.axis if axis is None else axis
+    @property
+    def place(self) -> str:
+        """Sub-state of the tested axis in RUN, or its state."""
+        return place(self.board, self.axis)
 
-    def word(self, name: str, axis: int | None = None) -> int:
-        """Raw value of a variable of an axis."""
-        return rig.word(self.board, self._which(axis), name)
-
-    def place(self, axis: int | None = None) -> str:
-        """Sub-state of an axis in RUN, or its state."""
-        return named_faults.place(self.board, self._which(axis))
-
-    def faults(self, axis: int | None = None) -> set[str]:
-        """Names of the faults of an axis."""
-        return named_faults.faults(self.board, self._which(axis))
-
-    def first_fault(self, axis: int | None = None) -> str:
-        """Name of the first fault; empty: none."""
-        return named_faults.first_fault(self.board, self._which(axis))
+    def faults(self) -> set[str]:
+        """Names of the faults of both axes."""
+        return active(self.board, self.axis) | active(self.board, self.other)
 
     def until(self, what: str, holds: Callable[[], bool]) -> None:
         """Run until a condition holds; raises `SimulationError` on a fault or timeout."""
-        for _ in range(round(REACHED_TIME / rig.TICK)):
-            if holds():
-                return
-            if self.word("faults") or self.word("faults", self.other):
-                break
-            self.board.run(rig.TICK)
-        faults = self.faults() | self.faults(self.other)
-        raise SimulationError(
-            f"{what} was not reached; state {self.place()}, faults: {', '.join(sorted(faults)) or '-'}"
-        )
+        reached(self.board, lambda: holds() or bool(self.faults()), REACHED_TIME)
+        if not holds():
+            raise SimulationError(
+                f"{what} was not reached; state {self.place}, faults: {', '.join(sorted(self.faults())) or '-'}"
+            )
 
     # ---- commands
     def enable(self, on: bool = True) -> None:
-        rig.set_axis(self.board, "cmd.enable", self.axis, float(on))
+        write_axis(self.board, "cmd.enable", self.axis, float(on))
 
     def speed(self, speed: float) -> None:
         """Write a speed set-point [rad/s] in speed mode."""
         self.commanded_speed = max(self.commanded_speed, abs(speed))
-        rig.choose_mode(self.board, self.axis, "SPEED")
-        rig.command_speed(self.board, self.axis, speed)
+        choose(self.board, "cmd.mode", self.axis, "SPEED")
+        write_axis(self.board, "cmd.speed", self.axis, speed)
 
     def turn(self, turns: float) -> None:
         """Move by a number of revolutions in position mode."""
         self.commanded_speed = self.speed_limit
-        rig.choose_mode(self.board, self.axis, "POSITION")
-        rig.command_position(self.board, self.axis, rig.position_of(self.board, self.axis) + round(4000.0 * turns))
+        choose(self.board, "cmd.mode", self.axis, "POSITION")
+        write_word(
+            self.board, "cmd.position", self.axis, word(self.board, self.axis, "position") + round(4000.0 * turns)
+        )
 
     def torque(self, current: float) -> None:
         """Write a current set-point [A] in torque mode."""
         self.commanded_speed = self.speed_limit
-        rig.choose_mode(self.board, self.axis, "TORQUE")
-        rig.set_axis(self.board, "cmd.i_q", self.axis, current)
+        choose(self.board, "cmd.mode", self.axis, "TORQUE")
+        write_axis(self.board, "cmd.i_q", self.axis, current)
 
     def quick_stop(self) -> None:
-        rig.set_axis(self.board, "cmd.quick_stop", self.axis, 1.0)
+        write_axis(self.board, "cmd.quick_stop", self.axis, 1.0)
 
     def load(self, part: float) -> None:
         """Set the load torque, as a part of the torque at the current limit."""
@@ -122,13 +106,13 @@ class Bench:
 
     def load_pulse(self, part: float) -> None:
         """Set a load that opposes the motion for positive `part`, if the axis is in SPIN."""
-        if self.place() == "SPIN":
+        if self.place == "SPIN":
             self.load(math.copysign(part, self.board.truth(self.axis).omega_m))
 
     def provoke(self, sign: float) -> None:
         """Command the axis to move, regardless of earlier commands."""
         self.load(0.0)
-        rig.set_axis(self.board, "cmd.quick_stop", self.axis, 0.0)
+        write_axis(self.board, "cmd.quick_stop", self.axis, 0.0)
         self.enable()
         self.speed(sign * (PROVOKED_SPEED_SENSORLESS if self.sensorless else PROVOKED_SPEED) * self.speed_limit)
 
@@ -138,17 +122,16 @@ class Bench:
         self.board.write("param.host_timeout", 30.0)
         self.board.run(BOOT)
         if self.sensorless:
-            observer = self.board.catalogue.enums["feedback_kind_t"]["OBSERVER"]
-            rig.set_axis(self.board, "param.feedback", self.axis, observer)
-        rig.set_axis(self.board, "cmd.enable", self.other, 1.0)
-        self.until("SPIN of the other axis", lambda: self.place(self.other) == "SPIN")
-        rig.choose_mode(self.board, self.other, "SPEED")
-        rig.command_speed(self.board, self.other, self.other_speed)
+            choose(self.board, "param.feedback", self.axis, "OBSERVER")
+        write_axis(self.board, "cmd.enable", self.other, 1.0)
+        self.until("SPIN of the other axis", lambda: place(self.board, self.other) == "SPIN")
+        choose(self.board, "cmd.mode", self.other, "SPEED")
+        write_axis(self.board, "cmd.speed", self.other, self.other_speed)
         self.board.run(0.2)
 
     def hold(self) -> None:
         self.enable()
-        self.until("SPIN", lambda: self.place() == "SPIN")
+        self.until("SPIN", lambda: self.place == "SPIN")
         self.board.run(rig.SETTLED)
 
     def turning(self, speed: float) -> None:
@@ -156,7 +139,7 @@ class Bench:
         if self.sensorless:
             self.enable()
             self.speed(speed)
-            self.until("SPIN", lambda: self.place() == "SPIN")
+            self.until("SPIN", lambda: self.place == "SPIN")
         else:
             self.hold()
             self.speed(speed)
@@ -214,7 +197,7 @@ def _calib(bench: Bench, rng: random.Random) -> Script:
 def _search(bench: Bench, rng: random.Random) -> Script:
     bench.boot()
     bench.enable()
-    bench.until("ALIGN", lambda: bench.place() == "ALIGN")
+    bench.until("ALIGN", lambda: bench.place == "ALIGN")
     return Script(1.0)
 
 
@@ -280,8 +263,7 @@ def _torque(bench: Bench, rng: random.Random) -> Script:
 def _coasting(bench: Bench, rng: random.Random) -> Script:
     bench.boot()
     bench.turning(_part(bench, rng, 0.1, 1.0))
-    coast = bench.board.catalogue.enums["stop_category_t"]["COAST"]
-    rig.set_axis(bench.board, "param.on_disable", bench.axis, coast)
+    choose(bench.board, "param.on_disable", bench.axis, "COAST")
     bench.enable(False)
     return Script(0.3)
 
@@ -308,7 +290,7 @@ def _rest(bench: Bench, rng: random.Random) -> Script:
 def _start_up(bench: Bench, rng: random.Random) -> Script:
     bench.boot()
     bench.enable()
-    rig.choose_mode(bench.board, bench.axis, "SPEED")
+    choose(bench.board, "cmd.mode", bench.axis, "SPEED")
     bench.board.run(0.1)
     speed = _part(bench, rng, 0.1, 0.5)
     return Script(0.8, [(0.0, lambda: bench.speed(speed))])
@@ -400,7 +382,7 @@ def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
     while moment < LENGTH:
         events.append((moment, _command(bench, rng)))
         events.append((moment + 1e-3, bench.enable))  # also after a disable command
-        events.append((moment + 1e-3, lambda: rig.set_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
+        events.append((moment + 1e-3, lambda: write_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
         torque, length = rng.uniform(-0.4, 0.4), rng.uniform(0.005, 0.1)
         events.append((moment + 0.01, lambda torque=torque: bench.load_pulse(torque)))  # type: ignore[misc]
         events.append((moment + 0.01 + length, lambda: bench.load(0.0)))

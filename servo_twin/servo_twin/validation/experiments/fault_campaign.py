@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import first_fault, place, word
 from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
@@ -164,7 +165,7 @@ class _Monitor:
         while board.time_ns < end:
             self.play(min(board.time_ns + TICK_NS, end))
             self.look()
-            if self._bench.word("faults"):
+            if word(self._bench.board, self._bench.axis, "faults"):
                 return True
         return False
 
@@ -196,7 +197,7 @@ def run_trial(trial: Trial) -> Result:
             return Result(trial, NOTHING, (), None, 0.0, 0.0, (str(error),))
         monitor = _Monitor(bench, script, board.time_ns)
         monitor.play(board.time_ns + round(rng.uniform(0.0, script.window) * 1e9))
-        if early := bench.faults() | bench.faults(bench.other):
+        if early := bench.faults():
             return Result(
                 trial, NOTHING, (), None, 0.0, 0.0, (f"fault before the injection: {', '.join(sorted(early))}",)
             )
@@ -227,7 +228,7 @@ def _inject(trial: Trial, bench: Bench, monitor: _Monitor, sign: float) -> Resul
     for _ in range(round(FINAL_TIME / TICK)):
         monitor.fault_within(TICK)
     gained = monitor.speed_max - before if found else 0.0
-    name = bench.first_fault()
+    name = first_fault(bench.board, bench.axis)
     right = fault.expected_faults(BusRange(monitor.u_min, monitor.u_max))
     load_pulses = fault.kind == NO_FAULT  # may accelerate a light shaft above its limit
     maximum = np.inf if load_pulses else RUNAWAY_MARGIN + max(at_first, bench.speed_limit) + driven
@@ -246,10 +247,10 @@ def _inject(trial: Trial, bench: Bench, monitor: _Monitor, sign: float) -> Resul
 
 def _others(bench: Bench, name: str) -> list[str]:
     """Failed criteria of the other axis."""
-    other_fault = bench.first_fault(bench.other)
+    other_fault = first_fault(bench.board, bench.other)
     if other_fault != (name if name in COMMON_FAULTS else NOTHING):
         return [f"the other axis has {other_fault or 'no fault'}"]
-    if other_fault or bench.place(bench.other) != "SPIN":
+    if other_fault or place(bench.board, bench.other) != "SPIN":
         return []  # not commanded to move
     error = abs(bench.board.truth(bench.other).omega_m - bench.other_speed)
     maximum = OTHER_ERROR_MAX * bench.other_limit

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import active, first_fault, place, word
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
@@ -30,13 +31,10 @@ from servo_twin.validation.experiments.named_faults import (
     NOTHING,
     PROVOKED_TIME,
     fault_time,
-    faults,
-    first_fault,
     gain_max,
-    place,
 )
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import TICK, fresh_board, until, word
+from servo_twin.validation.experiments.rig import TICK, fresh_board, until
 
 NAME: Final = "fault-matrix"
 HELP: Final = """\
@@ -250,7 +248,7 @@ def case(plant: PlantConfig, seed: int, fault_case: FaultCase, state: str) -> Ca
             board.run(TICK)
             fastest = max(fastest, abs(board.truth(0).omega_m))
         name = first_fault(board, 0)
-        other = faults(board, 1)
+        other = active(board, 1)
         error = abs(board.truth(1).omega_m - OTHER_SPEED)
         fine = other == {name} if name in COMMON_FAULTS else not other and error < OTHER_ERROR_MAX
         gain = gain_max(plant.axes[0], plant.bus.u_source)  # the current decays against the bus

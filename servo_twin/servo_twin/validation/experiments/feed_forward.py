@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -89,12 +90,12 @@ def travel(
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             rig.features(board, axis, **switches)
-            rig.set_axis(board, "param.speed_limit", axis, speeds[axis])
-        targets = [rig.position_of(board, axis) + round(turns * COUNTS_PER_TURN) for axis in range(AXES)]
+            write_axis(board, "param.speed_limit", axis, speeds[axis])
+        targets = [word(board, axis, "position") + round(turns * COUNTS_PER_TURN) for axis in range(AXES)]
 
         def go() -> None:
             for axis, target in enumerate(targets):
-                rig.command_position(board, axis, target)
+                write_word(board, "cmd.position", axis, target)
 
         seconds = turns * COUNTS_PER_TURN * COUNT / min(speeds) + REST
         both = rig.record(board, range(AXES), seconds, rig.at({TICK: go}))

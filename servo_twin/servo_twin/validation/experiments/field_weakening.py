@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_tuning.field_weakening import largest_torque
@@ -21,7 +22,7 @@ from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import modulation, over_voltage
-from servo_twin.validation.experiments.rig import RPM, TICK, at, command_speed, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, TICK, at, record, set_up, spinning
 
 NAME: Final = "field-weakening"
 HELP: Final = """\
@@ -182,7 +183,7 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     events: Events = {
         RUN_UP: _load(STEP),
         RUN_UP + SETTLE: _load(0.0),
-        rest: lambda board: command_speed(board, AXIS, 0.0),
+        rest: lambda board: write_axis(board, "cmd.speed", AXIS, 0.0),
     }
     whole = run_with(plant, seed, events, rest + SETTLE + MEASURED)[AXIS]
     idle, high = whole.part(RUN_UP - MEASURED, RUN_UP), float(whole.part(0.0, rest)["omega"].max())
@@ -207,7 +208,7 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
 def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
     """Speed drop by a load step at a lower speed [rad/s]."""
     with at_rated(plant, seed, [AXIS], weak=False) as board:
-        command_speed(board, AXIS, speed)
+        write_axis(board, "cmd.speed", AXIS, speed)
         record(board, [AXIS], RUN_UP)
         board.set_load(AXIS, STEP)
         return speed - float(record(board, [AXIS], DROP_WINDOW)[AXIS]["omega"].min())

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -77,7 +78,7 @@ def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Trace]:
             rig.set_up(board, axis, "SPEED", FRICTION=on)
         rig.record(board, [0], 10 * TICK)
         for axis in range(AXES):
-            rig.command_speed(board, axis, START)
+            write_axis(board, "cmd.speed", axis, START)
         return rig.record(board, range(AXES), START_TIME)
 
 
@@ -89,7 +90,7 @@ def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Trace]:
 
         def act(k: int) -> None:
             for axis in range(AXES):
-                rig.command_speed(board, axis, SPEED * math.sin(2.0 * math.pi * SPEED_FREQUENCY * k * TICK))
+                write_axis(board, "cmd.speed", axis, SPEED * math.sin(2.0 * math.pi * SPEED_FREQUENCY * k * TICK))
 
         return rig.record(board, range(AXES), SETTLE + MEASURED, act)
 
@@ -97,14 +98,14 @@ def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Trace]:
 def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, Trace]:
     """Sinusoidal position, with feed-forward of speed and acceleration in both runs."""
     with rig.spinning(plant, seed) as board:
-        starts = [rig.position_of(board, axis) for axis in range(AXES)]
+        starts = [word(board, axis, "position") for axis in range(AXES)]
         for axis in range(AXES):
             rig.set_up(board, axis, FRICTION=on, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
 
         def act(k: int) -> None:
             position = 0.5 * (1.0 - math.cos(2.0 * math.pi * POSITION_FREQUENCY * k * TICK))
             for axis, start in enumerate(starts):
-                rig.command_position(board, axis, round(start + 2.0 * AMPLITUDE * COUNTS_PER_TURN * position))
+                write_word(board, "cmd.position", axis, round(start + 2.0 * AMPLITUDE * COUNTS_PER_TURN * position))
 
         return rig.record(board, range(AXES), SETTLE + MEASURED, act)
 

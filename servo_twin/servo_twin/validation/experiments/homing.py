@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.board_port import active, word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -127,13 +128,13 @@ def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[Plan
 
 def start_homing(board: Board, axis: int, method: str, position: float = 0.0) -> None:
     """Write ``cmd.home`` with the position of the reference [rad]."""
-    rig.set_axis(board, "cmd.home_position", axis, position)
-    rig.set_axis(board, "cmd.home", axis, board.catalogue.enums["home_method_t"][method])
+    write_axis(board, "cmd.home_position", axis, position)
+    write_axis(board, "cmd.home", axis, board.catalogue.enums["home_method_t"][method])
 
 
 def _labels(board: Board, what: str) -> list[str]:
     """``home_state`` or ``home_result`` of both axes as text."""
-    return [board.catalogue.label(f"{what}_t", rig.word(board, axis, what)) for axis in range(AXES)]
+    return [board.catalogue.label(f"{what}_t", word(board, axis, what)) for axis in range(AXES)]
 
 
 def _home(board: Board, method: str, stops: list[Stop]) -> tuple[list[float], list[float]]:
@@ -170,12 +171,12 @@ def _wait(board: Board, longest: float) -> None:
 
 
 def _spreads(board: Board) -> list[float]:
-    return [float(rig.word(board, axis, "home_spread")) for axis in range(AXES)]
+    return [float(word(board, axis, "home_spread")) for axis in range(AXES)]
 
 
 def _zeros(board: Board) -> list[float]:
     """True angle at which the position would be 0 [rad]."""
-    return [board.truth(axis).theta_m - rig.position_of(board, axis) * COUNT for axis in range(AXES)]
+    return [board.truth(axis).theta_m - word(board, axis, "position") * COUNT for axis in range(AXES)]
 
 
 def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Contact]:
@@ -189,7 +190,7 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
         zeros, results, spreads = [_zeros(board)], [_labels(board, "home_result")], [_spreads(board)]
         for axis, state in enumerate(_labels(board, "home_state")):
             if state == "KNOWN":
-                rig.command_position(board, axis, round(-direction * min(SECOND_START, stops[axis].away) / COUNT))
+                write_word(board, "cmd.position", axis, round(-direction * min(SECOND_START, stops[axis].away) / COUNT))
         board.run(1.0)
         _home(board, method, stops)
         zeros.append(_zeros(board))
@@ -266,7 +267,7 @@ def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
             judge = Judge(f"{axis_name(axis)}, no stop: ")
             turned = abs(board.truth(axis).theta_m - starts[axis]) / (2.0 * math.pi)
             yield judge.true("NOT_FOUND", result == "NOT_FOUND")
-            yield judge.true("fault HOMING alone", rig.flags_of(board, axis, "faults") == {"HOMING"})
+            yield judge.true("fault HOMING alone", active(board, axis, "faults") == {"HOMING"})
             yield judge("rotation", turned, "turns", home.turns_max, home.turns_max + 0.1)
 
 
@@ -285,12 +286,12 @@ def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
     """Write a far position and then a speed to both axes."""
     with rig.spinning(plant, seed) as board:
         mask, reach = board.catalogue.flag("limits", "NOT_HOMED").mask, Settings.of(board).reach / COUNT
-        start = [rig.position_of(board, axis) for axis in range(AXES)]
+        start = [word(board, axis, "position") for axis in range(AXES)]
         for axis in range(AXES):
             rig.features(board, axis, HOMING=True)
         board.run(0.01)
         for axis in range(AXES):
-            rig.command_position(board, axis, start[axis] + round(FAR / COUNT))
+            write_word(board, "cmd.position", axis, start[axis] + round(FAR / COUNT))
         stationary = rig.record(board, range(AXES), 0.3)
         for axis in range(AXES):
             rig.set_up(board, axis, "SPEED", SPEED)

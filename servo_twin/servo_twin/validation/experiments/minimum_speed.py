@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import RPM, TICK, command_speed
+from servo_twin.validation.experiments.rig import RPM, TICK
 from servo_twin.validation.experiments.sensorless import (
     angle_error,
     back_emf,
@@ -77,14 +78,14 @@ def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequen
     motor = plant.axes[axis]
     with started(plant, seed, {axis: 1.0}) as board:
         limit, current = limits_of(board, axis)
-        command_speed(board, axis, steps[0] * limit)
+        write_axis(board, "cmd.speed", axis, steps[0] * limit)
         follow(board, [], SETTLE)
         loaded(board, axis, load * current * motor.torque_constant)
         held: list[float] = []
         last, fastest, end = None, 0.0, "the last step"
         for part in steps:
             speed = part * limit
-            command_speed(board, axis, speed)
+            write_axis(board, "cmd.speed", axis, speed)
             trace = follow(board, [axis], SETTLE + MEASURED, lambda _: remove_load_if_ended(board, axis))[axis]
             fastest = max(fastest, float(np.abs(trace["omega"]).max()))
             if why := ended(board, axis) or _not_held(trace, speed):

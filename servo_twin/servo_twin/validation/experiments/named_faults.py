@@ -9,7 +9,6 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant
-from servo_twin.validation.experiments.rig import flags_of, word
 
 NOTHING: Final = ""
 """Name for "no fault"."""
@@ -25,23 +24,6 @@ FINAL_TIME: Final = 0.15
 
 GAIN_MARGIN: Final = 0.5
 """Permitted gain of speed by friction and quantisation [rad/s]."""
-
-
-def place(board: Board, axis: int) -> str:
-    """Sub-state of an axis in RUN, or its state."""
-    state = board.catalogue.label("state_t", word(board, axis, "state"))
-    return board.catalogue.label("substate_t", word(board, axis, "substate")) if state == "RUN" else state
-
-
-def faults(board: Board, axis: int) -> set[str]:
-    """Names of the faults of an axis."""
-    return flags_of(board, axis, "faults")
-
-
-def first_fault(board: Board, axis: int) -> str:
-    """Name of the first fault of an axis; `NOTHING`: none."""
-    code = word(board, axis, "first_fault")
-    return next((fault.name for fault in board.catalogue.flags["faults"] if fault.bit + 1 == code), NOTHING)
 
 
 def fault_record(board: Board, axis: int) -> FaultRecord:

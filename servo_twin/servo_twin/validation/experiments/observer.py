@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
@@ -15,7 +16,7 @@ from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import RPM, command_speed, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, set_up, spinning
 from servo_twin.validation.experiments.sensorless import (
     back_emf,
     dead_voltage,
@@ -112,7 +113,7 @@ def measure(
         encoder_offset = offset(board, axis)
         limit, current = limits_of(board, axis)
         for speed in speeds:
-            command_speed(board, axis, speed * limit)
+            write_axis(board, "cmd.speed", axis, speed * limit)
             follow(board, [], SETTLE)
             for part in currents:
                 board.set_load(axis, part * current * motor.torque_constant)

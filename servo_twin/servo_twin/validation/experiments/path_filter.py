@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import read_axis, word, write_word
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
 
@@ -68,11 +69,11 @@ def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: flo
 def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Trace, float, int]:
     """One long move with a speed limit [rad/s]: recording, speed limit [counts/s] and distance [counts]."""
     with rig.spinning(plant, seed) as board:
-        target = rig.position_of(board, AXIS) + round(TURNS * COUNTS_PER_TURN)
+        target = word(board, AXIS, "position") + round(TURNS * COUNTS_PER_TURN)
         parameters = {"speed_limit": limit, "acceleration_limit": rig.largest(board, "acceleration_limit")}
         rig.set_up(board, AXIS, parameters=parameters)
-        speed, distance = rig.get_axis(board, "param.speed_limit", AXIS) / COUNT, target - rig.position_of(board, AXIS)
-        move = rig.at({0.0: lambda: rig.command_position(board, AXIS, target)})
+        speed, distance = read_axis(board, "param.speed_limit", AXIS) / COUNT, target - word(board, AXIS, "position")
+        move = rig.at({0.0: lambda: write_word(board, "cmd.position", AXIS, target)})
         return rig.record(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
 
 

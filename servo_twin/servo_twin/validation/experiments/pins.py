@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.axis_config_transfer import read_block, send_configuration
+from servo_msgs_py.board_port import active, choose, place, word, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
@@ -79,14 +80,6 @@ def wired(plant: PlantConfig, **pins: float) -> PlantConfig:
     return plant
 
 
-def _in(board: Board, axis: int, state: str, substate: str | None = None) -> bool:
-    enums = board.catalogue.enums
-    found = rig.word(board, axis, "state") == enums["state_t"][state]
-    if substate is None:
-        return found
-    return found and rig.word(board, axis, "substate") == enums["substate_t"][substate]
-
-
 def _until(board: Board, what: str, holds: Callable[[Board, int], bool], seconds: float = 3.0) -> None:
     """Run until a condition holds for both axes."""
     rig.until(board, what, lambda: all(holds(board, axis) for axis in range(AXES)), seconds, 0.005)
@@ -99,7 +92,7 @@ def _enable(board: Board) -> None:
 
 def _ready(board: Board, axis: int) -> bool:
     brake = board.truth(axis).brake_holds == 0.0 or board.plant.axes[axis].pins.brake_torque == 0.0
-    return _in(board, axis, "RUN", "SPIN") and brake
+    return place(board, axis) == "SPIN" and brake
 
 
 # ---- hanging load --------------------------------------------------------------------------------------------------
@@ -147,7 +140,7 @@ def measure_drops(plant: PlantConfig, seed: int, angle: float) -> LoadDrops:
         _until(board, "SPIN after the search", _ready)
         board.write("cmd.enable", [0] * AXES)
         off = _motions(board, 0.3)
-        _until(board, "STOP", lambda board, axis: _in(board, axis, "STOP"))
+        _until(board, "STOP", lambda board, axis: place(board, axis) == "STOP")
         board.run(0.3)  # an enable requires standstill
         board.write("cmd.enable", [1] * AXES)
         again = _motions(board, 0.4)
@@ -199,7 +192,7 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
         gates = log["clock"][(log["kind"] == _TRACE_GATES) & (log["a"] < 3)]
         board.run(0.001)
         periods = (int(gates[-1]) - int(before[-1])) * _CLOCK_NS / PERIOD_NS if gates.size else 0.0
-        return periods, rig.flags_of(board, 0, "faults") == {"ENABLE_INPUT"}
+        return periods, active(board, 0, "faults") == {"ENABLE_INPUT"}
 
 
 # ---- a limit switch at speed ---------------------------------------------------------------------------------------
@@ -226,9 +219,9 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
         _enable(board)
         for axis in range(AXES):
             rig.set_up(board, axis, "SPEED", FULL_SPEED)
-        _until(board, "the stop at the switches", lambda board, axis: _in(board, axis, "FAULT"))
+        _until(board, "the stop at the switches", lambda board, axis: place(board, axis) == "FAULT")
         beyond = [board.truth(axis).theta_m - at[axis] for axis in range(AXES)]
-        named = [rig.flags_of(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
+        named = [active(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
         board.run(0.2)
         board.write("cmd.clear_faults", [1] * AXES)
         board.run(0.1)
@@ -236,12 +229,12 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
         board.run(0.2)
         motions = []
         for turns in (1.0, -1.0):
-            here = [rig.position_of(board, axis) for axis in range(AXES)]
+            here = [word(board, axis, "position") for axis in range(AXES)]
             for axis in range(AXES):
-                rig.choose_mode(board, axis, "POSITION")
-                rig.command_position(board, axis, here[axis] + round(turns * 4000))
+                choose(board, "cmd.mode", axis, "POSITION")
+                write_word(board, "cmd.position", axis, here[axis] + round(turns * 4000))
             board.run(0.8)
-            motions.append([abs(rig.position_of(board, axis) - here[axis]) for axis in range(AXES)])
+            motions.append([abs(word(board, axis, "position") - here[axis]) for axis in range(AXES)])
     return [Overrun(beyond[k], named[k], motions[0][k], motions[1][k]) for k in range(AXES)]
 
 
@@ -265,26 +258,24 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
             board.inject(CutWire(0, pin))
             board.run(0.1)
             inputs = {"home": "HOME", "enable": "ENABLE"}.get(pin, pin.upper())
-            seen = (inputs in rig.flags_of(board, 0, "inputs")) == pin.startswith("limit")
+            seen = (inputs in active(board, 0, "inputs")) == pin.startswith("limit")
             results[f"{pin}, holding"] = (
-                rig.flags_of(board, 0, "faults") == faults and seen and not rig.flags_of(board, 1, "faults")
+                active(board, 0, "faults") == faults and seen and not active(board, 1, "faults")
             )
     with fitted(plant, seed, "enable") as board:
         board.inject(CutWire(0, "enable"))
         board.run(0.01)
         board.write("cmd.enable", [1, 0])
         board.run(0.1)
-        refused = (
-            _in(board, 0, "STOP")
-            and not rig.flags_of(board, 0, "faults")
-            and "INPUT" in rig.flags_of(board, 0, "limits")
-        )
+        refused = place(board, 0) == "STOP" and not active(board, 0, "faults") and "INPUT" in active(board, 0, "limits")
         board.clear_fault()
         board.run(0.1)
-        results["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
+        results["enable, at rest: refused without a fault"] = refused and place(board, 0) == "STOP"
         board.write("cmd.enable", [1, 0])
         board.run(0.05)
-        results["enable, restored: enabled by a new command"] = _in(board, 0, "RUN")
+        results["enable, restored: enabled by a new command"] = (
+            board.catalogue.label("state_t", word(board, 0, "state")) == "RUN"
+        )
     return results
 
 

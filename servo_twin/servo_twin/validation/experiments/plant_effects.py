@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import choose, write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
@@ -16,7 +17,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import TICK, choose_mode, record, set_axis, set_up, spinning
+from servo_twin.validation.experiments.rig import TICK, record, set_up, spinning
 
 NAME: Final = "real-shaft"
 HELP: Final = """\
@@ -77,8 +78,8 @@ def wave(angle: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
 def ringing(board: Board, axis: int) -> Comparison:
     """Frequency of the oscillation of the measured speed after a torque step."""
     shaft = board.plant.axes[axis]
-    choose_mode(board, axis, "TORQUE")
-    set_axis(board, "cmd.i_q", axis, 0.5)
+    choose(board, "cmd.mode", axis, "TORQUE")
+    write_axis(board, "cmd.i_q", axis, 0.5)
     part = record(board, [axis], RING)[axis]
     time, speed = part.time[2:], part["speed"][2:]
     frequencies = np.arange(0.5, 1.5, 1e-3) * RESONANCE
@@ -139,13 +140,13 @@ def current_ripple(board: Board, axis: int) -> Comparison:
 def step_of_current(board: Board, axis: int, low: float, high: float) -> NDArray[np.float64]:
     """Voltage and current of the q axis per PWM period, shaft locked, around a step of the current; shape (2, n)."""
     name = axis_name(axis)
-    choose_mode(board, axis, "TORQUE")
-    set_axis(board, "cmd.i_q", axis, low)
+    choose(board, "cmd.mode", axis, "TORQUE")
+    write_axis(board, "cmd.i_q", axis, low)
     board.run(0.02)
     variables = [board.catalogue[f"{name}.{signal}"] for signal in ("u_q", "i_q")]
     board.sample(0, [(variable, 0) for variable in variables], 1000)
     board.run(0.015)
-    set_axis(board, "cmd.i_q", axis, high)
+    write_axis(board, "cmd.i_q", axis, high)
     board.run(0.015)
     points = board.sampled()
     board.end_sampling()

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.board_port import read_axis, word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
@@ -148,7 +149,7 @@ def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: flo
         for axis in range(AXES):
             if switch is not None:
                 rig.features(board, axis, **{switch: True})
-            rig.command_speed(board, axis, speed)
+            write_axis(board, "cmd.speed", axis, speed)
         both = rig.record(board, range(AXES), 5 * TICK)
         limited = board.catalogue.flag("limits", "CURRENT").mask
     currents: list[float] = []
@@ -172,20 +173,22 @@ def current_limits(plant: PlantConfig, seed: int) -> list[float]:
 
 def _parameter(plant: PlantConfig, seed: int, name: str) -> list[float]:
     with rig.spinning(plant, seed) as board:
-        return [rig.get_axis(board, f"param.{name}", axis) for axis in range(AXES)]
+        return [read_axis(board, f"param.{name}", axis) for axis in range(AXES)]
 
 
 def path_demands(plant: PlantConfig, seed: int) -> list[Demand]:
     """Requirements of the path filter for a long move without acceleration limit, measured at its output."""
     with rig.spinning(plant, seed) as board:
         speeds, currents = (
-            [rig.get_axis(board, f"param.{name}", axis) for axis in range(AXES)]
-            for name in ("speed_limit", "i_q_limit")
+            [read_axis(board, f"param.{name}", axis) for axis in range(AXES)] for name in ("speed_limit", "i_q_limit")
         )
         for axis in range(AXES):
             rig.set_up(board, axis, parameters={"acceleration_limit": rig.largest(board, "acceleration_limit")})
-            rig.command_position(
-                board, axis, rig.position_of(board, axis) + round(10.0 * PROBE_PATH * speeds[axis] / COUNT)
+            write_word(
+                board,
+                "cmd.position",
+                axis,
+                word(board, axis, "position") + round(10.0 * PROBE_PATH * speeds[axis] / COUNT),
             )
         both = rig.record(board, range(AXES), PROBE_PATH)
     demands: list[Demand] = []

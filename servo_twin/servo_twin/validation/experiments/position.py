@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import read_axis, word, write_axis, write_word
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -74,16 +75,16 @@ def measure(recording: Trace, target: int, ramp_end: float, plant: PlantConfig, 
 
 def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SETTLE) -> Move:
     """Move one axis by a number of revolutions; `settle` is the permitted settling time [s]."""
-    limit, start = rig.get_axis(board, "param.speed_limit", axis), rig.position_of(board, axis)
+    limit, start = read_axis(board, "param.speed_limit", axis), word(board, axis, "position")
     target = start + round(turns * COUNTS_PER_TURN)
     distance = abs(target - start) * COUNT
     duration = max(distance / (RAMP_SPEED * limit), RAMP_MIN) if ramp else distance / limit
 
     def act(k: int) -> None:
         if ramp and k * TICK <= duration + TICK:
-            rig.command_position(board, axis, round(start + (target - start) * min(k * TICK / duration, 1.0)))
+            write_word(board, "cmd.position", axis, round(start + (target - start) * min(k * TICK / duration, 1.0)))
         elif not ramp and k == 0:
-            rig.command_position(board, axis, target)
+            write_word(board, "cmd.position", axis, target)
 
     recording = rig.record(board, [axis], duration + settle + REST, act)[axis]
     return measure(recording, target, duration, board.plant, axis)
@@ -96,7 +97,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     settles = path_settles(plant, seed, SETTLE)
     with rig.spinning(plant, seed) as board:
         for axis, speed in enumerate(speeds):
-            rig.set_axis(board, "param.speed_limit", axis, speed)
+            write_axis(board, "param.speed_limit", axis, speed)
         for distance, ramp in itertools.product(DISTANCES, (False, True)):
             how, signed_distance = (
                 f"{'ramp' if ramp else 'step'} of {distance:g} turns",

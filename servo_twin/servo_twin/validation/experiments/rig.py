@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import active, choose, reached, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
@@ -194,35 +195,13 @@ def _recording(
     return Trace(TICK, columns | dict(zip(true, np.array(truths).T, strict=True)), first=1)
 
 
-def set_axis(board: Board, name: str, axis: int, value: float) -> None:
-    """Write one element of an array variable [SI], without a write to the other axis."""
-    variable = board.catalogue[name]
-    _write_element(board, name, axis, variable.to_raw(value))
-
-
-def _write_element(board: Board, name: str, axis: int, raw: int) -> None:
-    variable = board.catalogue[name]
-    data = variable.pack([raw])
-    board.write_memory(board.address(name) + axis * variable.element_size, data)
-
-
-def get_axis(board: Board, name: str, axis: int) -> float:
-    """One element of an array variable [SI]."""
-    return float(np.asarray(board.read(name))[axis])
-
-
 def features(board: Board, axis: int, **switches: bool) -> None:
     """Switch features on or off by name, e.g. ``ANTI_WINDUP=False``."""
     masks = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
-    word = board.read_words("param.features")[axis]
+    mask = board.read_words("param.features")[axis]
     for name, on in switches.items():
-        word = word | masks[name] if on else word & ~masks[name]
-    _write_element(board, "param.features", axis, word)
-
-
-def choose_mode(board: Board, axis: int, mode: str) -> None:
-    """Write the mode of one axis by name: POSITION, SPEED or TORQUE."""
-    _write_element(board, "cmd.mode", axis, board.catalogue.enums["control_mode_t"][mode])
+        mask = mask | masks[name] if on else mask & ~masks[name]
+    write_word(board, "param.features", axis, mask)
 
 
 def set_up(
@@ -252,11 +231,11 @@ def set_up(
     if switches:
         features(board, axis, **switches)
     for name, value in (parameters or {}).items():
-        set_axis(board, f"param.{name}", axis, value)
+        write_axis(board, f"param.{name}", axis, value)
     if mode is not None:
-        choose_mode(board, axis, mode)
+        choose(board, "cmd.mode", axis, mode)
     if speed is not None:
-        command_speed(board, axis, speed)
+        write_axis(board, "cmd.speed", axis, speed)
 
 
 def largest(board: Board, parameter: str) -> float:
@@ -277,16 +256,6 @@ def at(events: Mapping[float, Callable[[], object]]) -> Callable[[int], None]:
     return act
 
 
-def word(board: Board, axis: int, name: str) -> int:
-    """Raw value of a variable of an axis."""
-    return board.read_words(f"{axis_name(axis)}.{name}")[0]
-
-
-def flags_of(board: Board, axis: int, name: str) -> set[str]:
-    """Names of the set flags in a word of an axis, such as ``faults``."""
-    return {flag.name for flag in board.catalogue.active(name, word(board, axis, name))}
-
-
 def until(board: Board, what: str, holds: Callable[[], bool], seconds: float, step: float = TICK) -> None:
     """Run until a condition holds; polled every `step` [s].
 
@@ -295,27 +264,10 @@ def until(board: Board, what: str, holds: Callable[[], bool], seconds: float, st
     SimulationError
         On a timeout after `seconds`; the message contains `what` and the faults.
     """
-    for _ in range(round(seconds / step)):
-        if holds():
-            return
-        board.run(step)
-    states = ", ".join(f"{axis_name(axis)} {flags_of(board, axis, 'faults') or 'no fault'}" for axis in range(AXES))
+    if reached(board, holds, seconds, step):
+        return
+    states = ", ".join(f"{axis_name(axis)} {active(board, axis) or 'no fault'}" for axis in range(AXES))
     raise SimulationError(f"timeout after {seconds:g} s: {what}; {states}")
-
-
-def position_of(board: Board, axis: int) -> int:
-    """Present position of the firmware [counts]."""
-    return word(board, axis, "position")
-
-
-def command_position(board: Board, axis: int, counts: int) -> None:
-    """Write the position set-point [counts]."""
-    _write_element(board, "cmd.position", axis, counts)
-
-
-def command_speed(board: Board, axis: int, speed: float) -> None:
-    """Write the speed set-point [rad/s]; requires speed mode."""
-    set_axis(board, "cmd.speed", axis, speed)
 
 
 def settled_from(recording: Trace, signal: NDArray[np.float64], low: float, high: float) -> float | None:

@@ -8,13 +8,14 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import choose, read_axis, word, write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
-from servo_twin.validation.experiments.rig import TICK, TICK_NS, choose_mode, command_speed, fresh_board, get_axis, word
+from servo_twin.validation.experiments.rig import TICK, TICK_NS, fresh_board
 
 BOOT: Final = 0.03  # reset to STOP [s]
 START_MAX: Final = 3.0  # timeout of a start-up [s]
@@ -87,7 +88,7 @@ def observing(plant: PlantConfig, seed: int) -> Iterator[Board]:
         observer = board.catalogue.enums["feedback_kind_t"]["OBSERVER"]
         board.write_raw("param.feedback", [observer] * AXES)
         for axis in range(AXES):
-            choose_mode(board, axis, "SPEED")
+            choose(board, "cmd.mode", axis, "SPEED")
         board.write("cmd.enable", [1] * AXES)
         board.run(POLL)
         yield board
@@ -104,7 +105,7 @@ def started(plant: PlantConfig, seed: int, speeds: Mapping[int, float]) -> Itera
     """
     with observing(plant, seed) as board:
         for axis, part in speeds.items():
-            command_speed(board, axis, part * limits_of(board, axis)[0] / 3.0)
+            write_axis(board, "cmd.speed", axis, part * limits_of(board, axis)[0] / 3.0)
         for _ in range(round(START_MAX / POLL)):
             board.run(POLL)
             for axis in speeds:
@@ -168,4 +169,4 @@ def _trace(board: Board, log: NDArray[np.void], axis: int, samples: NDArray[np.f
 
 def limits_of(board: Board, axis: int) -> tuple[float, float]:
     """Default limits of speed [rad/s] and current [A]."""
-    return get_axis(board, "param.speed_limit", axis), get_axis(board, "param.i_q_limit", axis)
+    return read_axis(board, "param.speed_limit", axis), read_axis(board, "param.i_q_limit", axis)

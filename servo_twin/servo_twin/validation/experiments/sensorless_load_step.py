@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
@@ -15,7 +16,7 @@ from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import current_limits
-from servo_twin.validation.experiments.rig import RPM, command_speed
+from servo_twin.validation.experiments.rig import RPM
 from servo_twin.validation.experiments.sensorless import ended, follow, limits_of, remove_load_if_ended, started
 
 NAME: Final = "sensorless-load-step"
@@ -65,7 +66,7 @@ def largest_step(plant: PlantConfig, seed: int, axis: int, part: float, steps: S
     with started(plant, seed, {axis: 1.0}) as board:
         limit, current = limits_of(board, axis)
         speed = part * limit
-        command_speed(board, axis, speed)
+        write_axis(board, "cmd.speed", axis, speed)
         follow(board, [], SETTLE)
         best = Tolerated(speed)
         for step in steps:

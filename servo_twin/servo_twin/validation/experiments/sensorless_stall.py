@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import word, write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import RPM, TICK, command_speed, level, word
+from servo_twin.validation.experiments.rig import RPM, TICK, level
 from servo_twin.validation.experiments.sensorless import fault_names, follow, limits_of, started, without_fault
 
 NAME: Final = "stall"
@@ -109,7 +110,7 @@ def _blocked(
     with started(plant, seed, {axis: 1.0}) as board:
         if not stopped:
             without_fault(board, axis, "SPEED_FEEDBACK")
-        command_speed(board, axis, part * limits_of(board, axis)[0])
+        write_axis(board, "cmd.speed", axis, part * limits_of(board, axis)[0])
         follow(board, [], BEFORE)
         blocked = round(BEFORE / TICK)
         pull = _spring(board, axis, frequency or 0.0)
@@ -202,7 +203,7 @@ def _operator(board: Board, axis: int, direction: float, source: random.Random) 
         nonlocal due
         if now >= due:
             speed = source.uniform(*RANGE)
-            command_speed(board, axis, direction * speed * limit)
+            write_axis(board, "cmd.speed", axis, direction * speed * limit)
             board.set_load(axis, direction * torque * source.random() * min(speed / 0.2, 1.0))
             due = now + round(source.uniform(*HOLDS) * 1e9)
         return due

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -68,16 +69,18 @@ Command = Callable[[Board, int, int], None]
 
 MODES: Final[dict[str, tuple[Command, Command]]] = {
     "POSITION": (
-        lambda board, axis, limit: rig.command_position(board, axis, limit + round((FAR - AWAY) * COUNTS_PER_TURN)),
-        lambda board, axis, limit: rig.command_position(board, axis, limit - COUNTS_PER_TURN),
+        lambda board, axis, limit: write_word(
+            board, "cmd.position", axis, limit + round((FAR - AWAY) * COUNTS_PER_TURN)
+        ),
+        lambda board, axis, limit: write_word(board, "cmd.position", axis, limit - COUNTS_PER_TURN),
     ),
     "SPEED": (
-        lambda board, axis, limit: rig.command_speed(board, axis, SPEED_COMMANDED),
-        lambda board, axis, limit: rig.command_speed(board, axis, -BACK_SPEED),
+        lambda board, axis, limit: write_axis(board, "cmd.speed", axis, SPEED_COMMANDED),
+        lambda board, axis, limit: write_axis(board, "cmd.speed", axis, -BACK_SPEED),
     ),
     "TORQUE": (
-        lambda board, axis, limit: rig.set_axis(board, "cmd.i_q", axis, TORQUE),
-        lambda board, axis, limit: rig.set_axis(board, "cmd.i_q", axis, -TORQUE),
+        lambda board, axis, limit: write_axis(board, "cmd.i_q", axis, TORQUE),
+        lambda board, axis, limit: write_axis(board, "cmd.i_q", axis, -TORQUE),
     ),
 }
 """Modes with the commands beyond the limit and back."""
@@ -106,7 +109,7 @@ def _reported(recording: Trace, mask: int, seconds: float = FLAG_LAST) -> float:
 def run_to_position_limit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[float]) -> list[Run]:
     """Move both axes to their position limits and back, with speed limits `speeds` [rad/s]."""
     with rig.spinning(plant, seed) as board:
-        limits = [rig.position_of(board, axis) + round(AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
+        limits = [word(board, axis, "position") + round(AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
             parameters = {"position_max": limit * COUNT, "speed_limit": speeds[axis]}
             rig.set_up(board, axis, mode, parameters=parameters, POSITION_LIMITS=limited)
@@ -126,7 +129,7 @@ def run_to_position_limit(plant: PlantConfig, seed: int, mode: str, limited: boo
 def load_overtravel(plant: PlantConfig, seed: int, limited: bool) -> list[float]:
     """Overtravel of both shafts, driven by a load, in torque mode without current set-point [counts]."""
     with rig.spinning(plant, seed) as board:
-        limits = [rig.position_of(board, axis) + round(LOAD_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
+        limits = [word(board, axis, "position") + round(LOAD_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
             parameters = {"position_max": limit * COUNT, "speed_limit": LOAD_SPEED}
             rig.set_up(board, axis, "TORQUE", parameters=parameters, POSITION_LIMITS=limited)
@@ -139,7 +142,7 @@ def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Trace]]:
     """Set the upper limit below the present position of both shafts; then a target beyond it, and one inside."""
     settle = max(path_settles(plant, seed, SETTLE))
     with rig.spinning(plant, seed) as board:
-        here = [rig.position_of(board, axis) for axis in range(AXES)]
+        here = [word(board, axis, "position") for axis in range(AXES)]
         step = round(BEHIND * COUNTS_PER_TURN)
         for axis, position in enumerate(here):
             parameters = {"position_max": (position - step) * COUNT}
@@ -147,7 +150,7 @@ def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Trace]]:
         found = [rig.record(board, range(AXES), settle)]
         for target in (step, -2 * step):
             for axis, position in enumerate(here):
-                rig.command_position(board, axis, position + target)
+                write_word(board, "cmd.position", axis, position + target)
             found.append(rig.record(board, range(AXES), settle))
     return found
 
@@ -171,7 +174,7 @@ def run_to_current_limit(plant: PlantConfig, seed: int, limit: float | None) -> 
             parameters = {"speed_limit": SPEED_LIMIT} | ({} if limit is None else {"i_q_limit": limit})
             rig.set_up(board, axis, "TORQUE", parameters=parameters)
             board.lock_shaft(axis)
-            rig.set_axis(board, "cmd.i_q", axis, 2.0 * CURRENT_LIMIT)
+            write_axis(board, "cmd.i_q", axis, 2.0 * CURRENT_LIMIT)
         both = rig.record(board, range(AXES), SETTLE)
         mask = board.catalogue.flag("limits", "CURRENT").mask
     return [Run(0, r, _reported(r, mask, SETTLE)) for r in both.values()]

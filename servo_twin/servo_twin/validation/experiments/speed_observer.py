@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import word, write_word
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -89,7 +90,7 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
 
     def play(board: Board) -> Trace:
         rig.features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
-        rig.command_position(board, axis, rig.position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
+        write_word(board, "cmd.position", axis, word(board, axis, "position") + round(MOVE * COUNTS_PER_TURN))
         return rig.record(board, [axis], ARRIVED + HELD)[axis]
 
     return both(plant, seed, axis, play)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import word, write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
 
@@ -21,7 +22,7 @@ from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner, run_in_order
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Outcome, Panel, experiment
-from servo_twin.validation.experiments.rig import RPM, TICK, at_level, command_speed, level, word
+from servo_twin.validation.experiments.rig import RPM, TICK, at_level, level
 from servo_twin.validation.experiments.sensorless import (
     angle_error,
     fault_names,
@@ -155,7 +156,7 @@ def nominal(plant: PlantConfig, seed: int) -> dict[int, Trace]:
     """Start both axes of the plant, to a third of the speed limit."""
     with observing(plant, seed) as board:
         for axis in range(AXES):
-            command_speed(board, axis, limits_of(board, axis)[0] / 3.0)
+            write_axis(board, "cmd.speed", axis, limits_of(board, axis)[0] / 3.0)
         return follow(board, range(AXES), NOMINAL)
 
 
@@ -169,7 +170,7 @@ def start(plant: PlantConfig, seed: int, drawn: tuple[Draw, ...]) -> tuple[Start
         speeds = [draw.set_point * limits_of(board, axis)[0] for axis, draw in enumerate(drawn)]
         fans = [_fan(board, axis, draw, speeds[axis]) for axis, draw in enumerate(drawn)]
         for axis, speed in enumerate(speeds):
-            command_speed(board, axis, speed)
+            write_axis(board, "cmd.speed", axis, speed)
         fan_loads = _FanLoads(board, fans)
         traces = follow(board, range(AXES), START_LENGTH_MAX, fan_loads)
         startup, spin = (substate(board, name) for name in ("STARTUP", "SPIN"))

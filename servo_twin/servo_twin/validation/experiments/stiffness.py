@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import COUNT, TICK, at, record, set_axis, settling_time, spinning
+from servo_twin.validation.experiments.rig import COUNT, TICK, at, record, settling_time, spinning
 
 NAME: Final = "stiffness"
 HELP: Final = """\
@@ -38,7 +39,7 @@ def load_step(plant: PlantConfig, seed: int, axis: int) -> Trace:
     """Apply and remove the nominal torque."""
     torque = NOMINAL * plant.axes[axis].torque_constant
     with spinning(plant, seed) as board:
-        set_axis(board, "param.i_q_limit", axis, LIMIT)
+        write_axis(board, "param.i_q_limit", axis, LIMIT)
         loads = {LEAD: lambda: board.set_load(axis, torque), LEAD + LOADED: lambda: board.set_load(axis, 0.0)}
         return record(board, [axis], LEAD + LOADED + UNLOADED, at(loads))[axis]
 

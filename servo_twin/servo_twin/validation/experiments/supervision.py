@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -115,7 +116,7 @@ def play(
 
 def _long_move(_: Bench, board: Board, axis: int) -> None:
     """Command a very long move."""
-    rig.command_position(board, axis, rig.position_of(board, axis) + 1000 * COUNTS_PER_TURN)
+    write_word(board, "cmd.position", axis, word(board, axis, "position") + 1000 * COUNTS_PER_TURN)
 
 
 def _turn(bench: Bench, board: Board, axis: int) -> None:
@@ -129,7 +130,7 @@ def _torque_mode(bench: Bench, board: Board, axis: int) -> None:
     """Torque mode with a current set-point, with half of the speed as limit."""
     _turn(bench, board, axis)
     rig.set_up(board, axis, "TORQUE", parameters={"speed_limit": SPEED * bench.speeds[axis]})
-    rig.set_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
+    write_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
 
 
 def blocked_max(bench: Bench, axis: int) -> float:
@@ -187,7 +188,7 @@ CAUSES: Final = (
     ),
     Cause(
         "set-point too fast", "OVER_SPEED", _turn,
-        lambda bench, board, axis: rig.command_speed(board, axis, EXCESSIVE_SPEED * SPEED * bench.speeds[axis]),
+        lambda bench, board, axis: write_axis(board, "cmd.speed", axis, EXCESSIVE_SPEED * SPEED * bench.speeds[axis]),
     ),
 )  # fmt: skip
 
@@ -203,7 +204,7 @@ def permitted_operation(bench: Bench, forward: bool) -> int:
         if k % round(REVERSAL / TICK) == 0 and turns:
             far = turns.pop(0)
             for axis in range(AXES):
-                rig.command_position(board, axis, rig.position_of(board, axis) + round(far * COUNTS_PER_TURN))
+                write_word(board, "cmd.position", axis, word(board, axis, "position") + round(far * COUNTS_PER_TURN))
 
     def load(board: Board, k: int) -> None:
         share = {

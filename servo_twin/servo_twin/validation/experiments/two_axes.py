@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import read_axis, write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
 
@@ -72,7 +73,7 @@ class Reversals:
 
         def act(k: int) -> None:
             if k % half == 0:
-                rig.command_speed(board, axis, self.speed if (k // half) % 2 == 0 else -self.speed)
+                write_axis(board, "cmd.speed", axis, self.speed if (k // half) % 2 == 0 else -self.speed)
 
         return act
 
@@ -109,13 +110,13 @@ def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, Trace]:
     accelerations = [acceleration_of(plant, seed, axis) for axis in range(AXES)]
     with rig.spinning(plant, seed) as board:
         for axis, feasible in enumerate(accelerations):
-            feasible = min(rig.get_axis(board, "param.acceleration_limit", axis), feasible)
+            feasible = min(read_axis(board, "param.acceleration_limit", axis), feasible)
             rig.set_up(board, axis, "SPEED", speed, parameters={"acceleration_limit": feasible})
         rig.record(board, [0], SETTLE)
 
         def stop() -> None:
             for axis in range(AXES):
-                rig.command_speed(board, axis, 0.0)
+                write_axis(board, "cmd.speed", axis, 0.0)
 
         return rig.record(board, range(AXES), BRAKE_TIME, rig.at({0.0: stop}), may_fail=True)
 

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Final
 
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue, axis_name
 from servo_tuning.errors import ConfigError
 from servo_tuning.reading import parse
@@ -26,7 +27,6 @@ from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import blocks_of_configuration
 from servo_twin.simulation import SimulationError
-from servo_twin.validation.experiments.rig import set_axis
 from servo_twin.validation.sweep.space import SpaceError, Varied
 
 _PLANT: Final = "plant."
@@ -107,7 +107,7 @@ class Variant:
         for name, value in self.parameters.items():
             variable, element = _parameter(name)
             try:
-                set_axis(board, variable, element, value)
+                write_axis(board, variable, element, value)
             except ValueError as error:
                 raise SimulationError(str(error)) from None
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.board_port import choose
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.timed_points import POINTS_PER_WRITE, TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
 from servo_twin.simulation import enable, keep_set_points
-from servo_twin.validation.experiments.rig import choose_mode, features
+from servo_twin.validation.experiments.rig import features
 
 _TURN: Final = 6.283185307179586
 _AHEAD: Final = 16
@@ -43,7 +44,7 @@ def _features(board: Board, every: bool) -> None:
 
 def _mode(board: Board, name: str) -> None:
     for axis in range(AXES):
-        choose_mode(board, axis, name)
+        choose(board, "cmd.mode", axis, name)
 
 
 def _moving(every: bool, mode: str, value: float, settle: float = 0.3) -> Callable[[Board], None]:
