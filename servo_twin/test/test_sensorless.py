@@ -94,7 +94,7 @@ def test_flying_start_of_a_turning_shaft(speed: float) -> None:
         write_axis(board, "cmd.speed", 0, speed)
         until(board, "STARTUP", 0.1)
         before, peak = board.truth(0).omega_m, 0.0
-        while board.read_words("axis1.substate")[0] == STARTUP:
+        while place(board, 0) == "STARTUP":
             board.run(62.5e-6)
             truth = board.truth(0)
             peak = max(peak, math.hypot(truth.i_d, truth.i_q))
