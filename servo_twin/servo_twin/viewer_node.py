@@ -10,22 +10,22 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_msgs_py.convert import FAULTS, NO_FAULT, applied_from_message, from_stamp, snapshot_table, trace_from_message
+from servo_msgs_py.convert import FAULTS, NO_FAULT, applied_from_message, from_stamp, trace_from_message
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import destroyed_on_error, run
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
+from servo_msgs_py.trace import Trace
 from std_msgs.msg import Bool, Float64MultiArray, Int64MultiArray, String
 
 from servo_msgs_py import topics
@@ -33,8 +33,6 @@ from servo_twin.view import scene
 from servo_twin.view.recording import Recording, RecordingError
 from servo_twin.view.viewer import Viewer
 from servo_twin.view.web_page import WebPage, WebPageError, free_port
-
-_Decoded = TypeVar("_Decoded")
 
 PARAMETERS: Final = {
     "record": spec("", "file for the recording (.rrd); an existing file is replaced; empty: none"),
@@ -142,30 +140,26 @@ class ServoViewer(Node):
         self.create_subscription(DiagnosticArray, f"{twin}/{topics.DIAGNOSIS}", self._on_diagnosis, latched)
 
     # ---- input
-    def _on_snapshot(
-        self, topic: str, take: Callable[[Sequence[str], NDArray[Any]], None], message: Float64MultiArray
-    ) -> None:
-        table = self._decoded(topic, snapshot_table, message)
-        if table is None:
+    def _on_snapshot(self, topic: str, take: Callable[[Trace], None], message: Float64MultiArray) -> None:
+        samples = self._decoded(topic, message)
+        if samples is None:
             return
         if not self._described:  # units unknown
             text = f"{topic} is not shown: joints unknown, no robot_description in the same namespace"
             self._log.warning(text, throttle_duration_sec=10.0, skip_first=True)
             return
-        take(*table)
+        take(samples)
 
-    def _decoded(
-        self, topic: str, decode: Callable[[Float64MultiArray], _Decoded], message: Float64MultiArray
-    ) -> _Decoded | None:
-        """Contents of a message; None and a warning if it is invalid."""
+    def _decoded(self, topic: str, message: Float64MultiArray) -> Trace | None:
+        """Samples of a message; None and a warning if it is invalid."""
         try:
-            return decode(message)
+            return trace_from_message(message)
         except ValueError as error:
             self._log.warning(f"{topic}: {error}", throttle_duration_sec=10.0)
             return None
 
     def _on_recording(self, topic: str, source: str, message: Float64MultiArray) -> None:
-        points = self._decoded(topic, trace_from_message, message)
+        points = self._decoded(topic, message)
         if points is not None:
             self._viewer.burst(source, points)
 

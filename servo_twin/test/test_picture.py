@@ -11,7 +11,7 @@ from servo_twin.view import scene
 from servo_twin.view.picture import draw, figure, main
 from servo_twin.view.recording import Recording, RecordingError
 from servo_twin.view.viewer import Viewer
-from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, points, stamp
+from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, points, stamp, telemetry
 
 pytest.importorskip("rerun")
 image = pytest.importorskip("matplotlib.image")
@@ -20,9 +20,9 @@ image = pytest.importorskip("matplotlib.image")
 def _record(file: Path, *, twin: bool = True, samples: int = 1000) -> None:
     viewer = Viewer(Recording(file), CATALOGUE, START_NS)
     viewer.start()
-    viewer.board(COLUMNS, move(lag=0.01, samples=samples))
+    viewer.board(telemetry(move(lag=0.01, samples=samples)))
     if twin:
-        viewer.twin(COLUMNS, move(lag=0.02, samples=samples))
+        viewer.twin(telemetry(move(lag=0.02, samples=samples)))
         for k in range(samples):
             viewer.residual(stamp(EVERY * k), {"position": [0.004, -0.003], "velocity": [], "effort": []})
     assert viewer.close()
@@ -67,7 +67,7 @@ def test_a_path_is_drawn_as_one_axis_over_the_other(tmp_path: Path) -> None:
     viewer.start()
     rows = move(lag=0.01)
     viewer.applied(points(375 * EVERY, 625 * EVERY, replaces=True))
-    viewer.board(COLUMNS, rows)
+    viewer.board(telemetry(rows))
     assert viewer.close()
     *_, plane, error = figure(tmp_path / "run.rrd").axes
     set_point, board = (np.asarray(line.get_xydata()) for line in plane.lines)

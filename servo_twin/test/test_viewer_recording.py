@@ -18,7 +18,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import Recording, RecordingError, read_scalars, read_texts
 from servo_twin.view.viewer import Viewer
-from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, points, stamp, verify
+from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, points, stamp, telemetry, verify
 
 pytest.importorskip("rerun")
 
@@ -76,7 +76,7 @@ def test_every_state_has_a_colour(record: Record, monkeypatch: pytest.MonkeyPatc
         homes = [f"{name}.home_state" for _, name in scene.axes()]
         table = move()
         for value in CATALOGUE.enums["home_state_t"].values():
-            viewer.board([*COLUMNS, *homes], np.hstack([table, np.full((len(table), 2), float(value))]))
+            viewer.board(telemetry(np.hstack([table, np.full((len(table), 2), float(value))]), [*COLUMNS, *homes]))
         viewer.link(stamp(0), "")
         viewer.healthy(stamp(0), True)
         viewer.changes(stamp(0), [], {})
@@ -106,8 +106,8 @@ def test_curves_of_board_and_twin_are_recorded_at_their_ticks(record: Record, fi
 
     def feed(viewer: Viewer) -> None:
         for k in range(0, 1000, 10):
-            viewer.board(COLUMNS, board[k : k + 10])
-            viewer.twin(COLUMNS, twin[k : k + 10])
+            viewer.board(telemetry(board[k : k + 10]))
+            viewer.twin(telemetry(twin[k : k + 10]))
 
     viewer = record(feed)
     assert viewer.dropped == 0
@@ -126,12 +126,12 @@ def test_curves_of_board_and_twin_are_recorded_at_their_ticks(record: Record, fi
 def test_more_curves_are_shown_where_the_telemetry_has_them(record: Record, file: Path, extra: scene.Quantity) -> None:
     column = extra.column(scene.BOARD, 0)
     values = np.linspace(-1.0, 0.0, 1000)
-    record(lambda viewer: viewer.board([column, *COLUMNS], np.column_stack([values, move()])))
+    record(lambda viewer: viewer.board(telemetry(np.column_stack([values, move()]), [column, *COLUMNS])))
     assert np.array_equal(read_scalars(file, scene.series_entity(0, extra.name, scene.BOARD))[1], values)
 
 
 def test_the_board_is_recorded_without_a_twin(record: Record, file: Path) -> None:
-    record(lambda viewer: viewer.board(COLUMNS, move()))
+    record(lambda viewer: viewer.board(telemetry(move())))
     assert verify(file).returncode == 0
     assert len(read_scalars(file, scene.series_entity(0, "position", scene.BOARD))[0]) == 1000
     assert len(read_scalars(file, scene.series_entity(0, "position", scene.TWIN))[0]) == 0
@@ -142,11 +142,11 @@ def test_twin_data_from_before_the_first_board_sample_are_omitted(record: Record
 
     def feed(viewer: Viewer) -> None:
         # Messages of the twin may arrive before those of the board.
-        viewer.twin(COLUMNS, rows[:100])
+        viewer.twin(telemetry(rows[:100]))
         viewer.residual(stamp(0), {"position": [0.1, 0.1]})
         viewer.residual(stamp(EVERY * 550), {"position": [0.1, 0.1]})
-        viewer.board(COLUMNS, rows[400:600])
-        viewer.twin(COLUMNS, rows[300:500])
+        viewer.board(telemetry(rows[400:600]))
+        viewer.twin(telemetry(rows[300:500]))
         for row in (300, 450):
             viewer.residual(stamp(EVERY * row), {"position": [0.1, 0.1]})
 
@@ -158,8 +158,8 @@ def test_twin_data_from_before_the_first_board_sample_are_omitted(record: Record
 
 def test_a_twin_without_stamps_is_placed_by_the_ticks_of_the_board(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
-        viewer.board(COLUMNS, move())
-        viewer.twin(COLUMNS[:-2], move()[:, :-2])
+        viewer.board(telemetry(move()))
+        viewer.twin(telemetry(move()[:, :-2], COLUMNS[:-2]))
 
     record(feed)
     twin, board = (read_scalars(file, scene.series_entity(0, "i_q", s))[0] for s in (scene.TWIN, scene.BOARD))
@@ -168,7 +168,7 @@ def test_a_twin_without_stamps_is_placed_by_the_ticks_of_the_board(record: Recor
 
 @pytest.mark.parametrize("width", [len(COLUMNS), len(COLUMNS) - 2])
 def test_twin_data_without_a_board_are_not_recorded(record: Record, file: Path, width: int) -> None:
-    record(lambda viewer: viewer.twin(COLUMNS[:width], move()[:, :width]))
+    record(lambda viewer: viewer.twin(telemetry(move()[:, :width], COLUMNS[:width])))
     assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.TWIN))[0]) == 0
     assert verify(file).returncode == 0
 
@@ -178,7 +178,7 @@ def test_positions_and_speeds_are_those_of_the_joints(record: Record, file: Path
 
     def feed(viewer: Viewer) -> None:
         viewer.joints(joints)
-        viewer.board(COLUMNS, move())
+        viewer.board(telemetry(move()))
 
     record(feed)
     rows = move()
@@ -191,7 +191,7 @@ def test_positions_and_speeds_are_those_of_the_joints(record: Record, file: Path
 
 def test_residuals_lie_at_the_ticks_of_their_samples(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
-        viewer.board(COLUMNS, move())
+        viewer.board(telemetry(move()))
         for tick in (640, 1280):
             viewer.residual(stamp(tick), {"position": [0.1, -0.2], "velocity": [1.0, 2.0], "effort": []})
 
@@ -209,7 +209,7 @@ def test_states_and_faults_are_logged_at_their_tick_with_cause_and_remedy(record
 
     def feed(viewer: Viewer) -> None:
         for part in np.array_split(rows, 37):
-            viewer.board(COLUMNS, part)
+            viewer.board(telemetry(part))
 
     record(feed)
     states = read_texts(file, scene.state_entity("axis2"), "StateChange:state")
@@ -232,11 +232,11 @@ def test_the_axes_are_drawn_over_each_other_while_they_follow_a_path(record: Rec
     rows = move(lag=0.01)
 
     def feed(viewer: Viewer) -> None:
-        viewer.board(COLUMNS, rows[:250])
+        viewer.board(telemetry(rows[:250]))
         viewer.applied(points(300 * EVERY, 400 * EVERY, replaces=True))
         viewer.applied(points(500 * EVERY, 600 * EVERY, replaces=False))
         for k in range(250, 1000, 50):
-            viewer.board(COLUMNS, rows[k : k + 50])
+            viewer.board(telemetry(rows[k : k + 50]))
 
     record(feed)
     states = read_texts(file, scene.state_entity("path"), "StateChange:state")
@@ -256,7 +256,7 @@ def test_a_stop_ends_a_path(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         viewer.applied(points(100 * EVERY, 400 * EVERY, replaces=True))
         viewer.applied(AppliedCommand("cmd.quick_stop", 200 * EVERY, (1, 1), 3))
-        viewer.board(COLUMNS, move())
+        viewer.board(telemetry(move()))
 
     record(feed)
     moments = [moment for moment, _ in read_texts(file, scene.state_entity("path"), "StateChange:state")]
@@ -266,7 +266,7 @@ def test_a_stop_ends_a_path(record: Record, file: Path) -> None:
 def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         viewer.link(START_NS + 50_000_000, "no board answers on /dev/ttyUSB0")
-        viewer.board(COLUMNS, move(start_ns=START_NS + 100_000_000, samples=10))
+        viewer.board(telemetry(move(start_ns=START_NS + 100_000_000, samples=10)))
         viewer.link(START_NS + 100_000_000, "")
         viewer.link(START_NS + 101_000_000, "")
         viewer.healthy(START_NS + 120_000_000, True)
@@ -289,7 +289,7 @@ def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
 
 def test_diagnostics_are_logged_on_change(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
-        viewer.board(COLUMNS, move(samples=20))
+        viewer.board(telemetry(move(samples=20)))
         for level, message in (
             (0, "163 samples/s"),
             (0, "164 samples/s"),
@@ -313,7 +313,7 @@ def test_diagnostics_are_logged_on_change(record: Record, file: Path) -> None:
 
 def test_changes_are_states_and_estimates_are_curves(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
-        viewer.board(COLUMNS, move(samples=500))
+        viewer.board(telemetry(move(samples=500)))
         for k in range(8):
             found = [f"axis2: friction {2.0 + 0.01 * k:.2f} times"] if k >= 4 else []
             numbers = {"value": 1.0 + 0.1 * k, "low": 0.9, "high": 2.0}
@@ -333,8 +333,8 @@ def test_changes_are_states_and_estimates_are_curves(record: Record, file: Path)
 
 def test_a_reset_of_the_board_is_logged_and_breaks_the_curves(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
-        viewer.board(COLUMNS, move(first=160_000, samples=10, start_ns=START_NS - 10_000_000_000))
-        viewer.board(COLUMNS, move(first=0, samples=10, start_ns=START_NS + 3_000_000_000))
+        viewer.board(telemetry(move(first=160_000, samples=10, start_ns=START_NS - 10_000_000_000)))
+        viewer.board(telemetry(move(first=0, samples=10, start_ns=START_NS + 3_000_000_000)))
 
     record(feed)
     times, values = read_scalars(file, scene.series_entity(0, "speed", scene.BOARD))
@@ -347,9 +347,9 @@ def test_a_reset_of_the_board_is_logged_and_breaks_the_curves(record: Record, fi
 def test_invalid_messages_are_logged_once_and_valid_ones_are_recorded(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         for _ in range(3):
-            viewer.board(["time", "axis1.position"], np.zeros((2, 2)))
-        viewer.twin(COLUMNS, move(samples=0))
-        viewer.board(COLUMNS, move(samples=10))
+            viewer.board(telemetry(np.zeros((2, 2)), ["time", "axis1.position"]))
+        viewer.twin(telemetry(move(samples=10)[:0]))
+        viewer.board(telemetry(move(samples=10)))
 
     record(feed)
     assert len(read_scalars(file, scene.series_entity(1, "i_q", scene.BOARD))[0]) == 10
@@ -386,11 +386,11 @@ def test_a_stalled_recording_does_not_block_and_losses_are_counted() -> None:
     viewer = Viewer(recording, CATALOGUE, START_NS, capacity=10, period=0.01)
     viewer.start()
     rows = move(samples=1)
-    viewer.board(COLUMNS, rows)
+    viewer.board(telemetry(rows))
     assert recording.entered.wait(10.0)
     begun = time.monotonic()
     for _ in range(25):
-        viewer.board(COLUMNS, rows)
+        viewer.board(telemetry(rows))
     assert time.monotonic() - begun < 1.0
     assert viewer.dropped == 15
     assert not viewer.close(timeout=0.05)
@@ -408,7 +408,7 @@ def test_a_recording_that_fails_is_reported_and_closed() -> None:
     recording = Broken()
     viewer = Viewer(recording, CATALOGUE, START_NS, period=0.01)
     viewer.start()
-    viewer.board(COLUMNS, move(samples=1))
+    viewer.board(telemetry(move(samples=1)))
     assert viewer.close()
     assert viewer.failure == "the recording cannot be written: no space left on device"
     assert recording.closed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.timed_points import TimedPoint, encode_points
+from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
@@ -63,6 +65,11 @@ def move(
         parts.append(np.column_stack([position[0] + error, position[1], *speed, *current, *words, np.zeros(samples)]))
     stamps = [divmod(stamp(int(tick), start_ns), 1_000_000_000) for tick in ticks]
     return np.column_stack([*parts, np.array(stamps, dtype=np.float64)])
+
+
+def telemetry(table: NDArray[np.float64], columns: Sequence[str] = COLUMNS) -> Trace:
+    """Samples of a table."""
+    return Trace(0.0, dict(zip(columns, table.T, strict=True)))
 
 
 def points(first_tick: int, last_tick: int, *, replaces: bool) -> AppliedCommand:

@@ -28,7 +28,6 @@ from servo_twin.view.curves import Curves, ShaftAngle
 from servo_twin.view.path_span import PathSpan
 
 _Job = Callable[[], None]
-_Table = NDArray[np.float64]
 
 _NS: Final = 1_000_000_000
 _TOLERANCE: Final = 1e-6  # of equal times [s]
@@ -130,13 +129,13 @@ class Viewer:
         """Set the joints, whose units apply to the following telemetry."""
         self._post(lambda: self._set_joints(joints))
 
-    def board(self, columns: Sequence[str], table: _Table) -> None:
-        """Add telemetry of the board: (samples, columns), SI, motor values."""
-        self._post(lambda: self._board(columns, table))
+    def board(self, samples: Trace) -> None:
+        """Add telemetry of the board: SI, motor values."""
+        self._post(lambda: self._board(samples))
 
-    def twin(self, columns: Sequence[str], table: _Table) -> None:
+    def twin(self, samples: Trace) -> None:
         """Add telemetry of the twin, at ticks of the board."""
-        self._post(lambda: self._rows(scene.TWIN, columns, table), follows=True)
+        self._post(lambda: self._rows(scene.TWIN, samples), follows=True)
 
     def burst(self, source: str, points: Trace) -> None:
         """Add a burst with its ticks; `source` is `scene.BOARD`, `scene.TWIN` or `scene.RESIDUAL`."""
@@ -252,42 +251,42 @@ class Viewer:
     def _set_joints(self, joints: Sequence[Joint]) -> None:
         self._joints = joints
 
-    def _board(self, columns: Sequence[str], table: _Table) -> None:
-        if not len(table):
+    def _board(self, samples: Trace) -> None:
+        if not len(samples):
             return
-        ticks, stamps = _clocks(columns, table)
+        ticks, stamps = _clocks(samples)
         resets = self._time.resets
         times = self._time.telemetry(ticks, stamps)
         if self._time.resets != resets:
             self._log("board", float(times[-1]), "WARN", "the board was reset: ticks and positions restart")
-        self._plot(scene.BOARD, times, columns, table)
-        self._path(times, columns, table, self._span.contains(ticks))
+        self._plot(scene.BOARD, times, samples)
+        self._path(times, samples, self._span.contains(ticks))
         for axis, name in scene.axes():
             names = [f"{name}.{column}" for column in ("state", "substate", "faults")]
-            if all(column in columns for column in names):
-                self._states_of(axis, times, table[:, [columns.index(column) for column in names]].astype(int))
-            if (home := f"{name}.home_state") in columns:
-                self._home_states(name, times, table[:, columns.index(home)].astype(int))
+            if samples.columns.keys() >= set(names):
+                self._states_of(axis, times, samples.table(names).astype(int))
+            if (home := f"{name}.home_state") in samples.columns:
+                self._home_states(name, times, samples[home].astype(int))
 
-    def _rows(self, source: str, columns: Sequence[str], table: _Table) -> None:
+    def _rows(self, source: str, samples: Trace) -> None:
         """Add telemetry that does not define the time line."""
-        if not len(table) or math.isinf(self._time.first):
+        if not len(samples) or math.isinf(self._time.first):
             return
-        ticks, stamps = _clocks(columns, table)
+        ticks, stamps = _clocks(samples)
         times = self._time.of_ticks(ticks) if stamps is None else self._time.of_stamps(stamps)
         # A twin lags behind the board: its first rows may precede the recording.
         known = times > self._time.first - _TOLERANCE
         if known.any():
-            self._plot(source, times[known], columns, table[known])
+            later = {name: column[known] for name, column in samples.columns.items()}
+            self._plot(source, times[known], samples.changed(**later))
 
-    def _plot(self, source: str, times: NDArray[np.float64], columns: Sequence[str], table: _Table) -> None:
-        where = {name: k for k, name in enumerate(columns)}
+    def _plot(self, source: str, times: NDArray[np.float64], samples: Trace) -> None:
         points: dict[str, NDArray[np.float64]] = {}
         for axis, _ in scene.axes():
             for quantity in (*scene.QUANTITIES, *scene.EXTRAS):
                 for curve in (scene.SET_POINT, source) if source == scene.BOARD else (source,):
-                    if (column := where.get(quantity.column(curve, axis))) is not None:
-                        values = quantity.of_joint(self._joints[axis], table[:, column])
+                    if (column := samples.columns.get(quantity.column(curve, axis))) is not None:
+                        values = quantity.of_joint(self._joints[axis], column)
                         points[scene.series_entity(axis, quantity.name, curve)] = values
             angles = points.get(scene.series_entity(axis, scene.QUANTITIES[0].name, source))
             if angles is not None:
@@ -297,16 +296,14 @@ class Viewer:
     def _burst(self, source: str, points: Trace) -> None:
         if not len(points) or math.isinf(self._time.first):
             return
-        ticks, _ = _clocks(list(points.columns), points.table())
+        ticks, _ = _clocks(points)
         omitted = ("tick", BURST_TIME, *STAMP_COLUMNS)
         curves = {
             scene.burst_entity(name, source): values for name, values in points.columns.items() if name not in omitted
         }
         self._bursts[source].add(self._time.of_ticks(ticks), curves)
 
-    def _path(
-        self, times: NDArray[np.float64], columns: Sequence[str], table: _Table, inside: NDArray[np.bool_]
-    ) -> None:
+    def _path(self, times: NDArray[np.float64], samples: Trace, inside: NDArray[np.bool_]) -> None:
         """Draw one axis over the other during a path."""
         for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(inside)) + 1):
             on_path = bool(inside[part[0]])
@@ -317,8 +314,8 @@ class Viewer:
             for source in (scene.SET_POINT, scene.BOARD):
                 position = scene.QUANTITIES[0]
                 names = [position.column(source, axis) for axis, _ in scene.axes()]
-                if all(column in columns for column in names):
-                    motors = (table[part, columns.index(column)] for column in names)
+                if samples.columns.keys() >= set(names):
+                    motors = (samples[name][part] for name in names)
                     points = np.column_stack(list(map(position.of_joint, self._joints, motors)))
                     strip = np.vstack([self._drawn.get(source, points[:1]), points])
                     self._drawn[source] = points[-1:]
@@ -409,14 +406,14 @@ class Viewer:
         self._recording.text(source, moment, level, text)
 
 
-def _clocks(columns: Sequence[str], table: _Table) -> tuple[NDArray[np.int64], NDArray[np.int64] | None]:
-    """Ticks of the rows of a table, and ROS stamps [ns] if available."""
-    if "tick" not in columns:
+def _clocks(samples: Trace) -> tuple[NDArray[np.int64], NDArray[np.int64] | None]:
+    """Ticks of samples, and ROS stamps [ns] if available."""
+    if "tick" not in samples.columns:
         raise ValueError("telemetry without the column tick")
-    ticks = table[:, columns.index("tick")]
+    ticks = samples["tick"]
     if not np.isfinite(ticks).all():
         raise ValueError("telemetry with an invalid tick")
-    if not all(column in columns for column in STAMP_COLUMNS):
+    if not samples.columns.keys() >= set(STAMP_COLUMNS):
         return ticks.astype(np.int64), None
-    seconds, nanoseconds = (table[:, columns.index(column)].astype(np.int64) for column in STAMP_COLUMNS)
+    seconds, nanoseconds = (samples[name].astype(np.int64) for name in STAMP_COLUMNS)
     return ticks.astype(np.int64), seconds * _NS + nanoseconds
