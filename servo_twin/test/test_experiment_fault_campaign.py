@@ -8,18 +8,18 @@ import random
 import pytest
 from servo_twin.fault_injection import OpenPhase
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.campaign_faults import (
+from servo_twin.validation.experiments.campaign_motors import OTHERS, OWN, Motor
+from servo_twin.validation.experiments.fault_campaign import Trial, draw, run_trial
+from servo_twin.validation.experiments.fault_scenarios import (
     INJECTED_FAULTS,
     NO_FAULT,
     BusRange,
     Context,
-    InjectedFaultCase,
+    FaultScenario,
     no_fault,
 )
-from servo_twin.validation.experiments.campaign_motors import OTHERS, OWN, Motor
-from servo_twin.validation.experiments.campaign_states import STATES, Bench, Script
-from servo_twin.validation.experiments.fault_campaign import Trial, draw, run_trial
 from servo_twin.validation.experiments.named_faults import NOTHING
+from servo_twin.validation.experiments.operating_states import STATES, Bench, Script
 from servo_twin.validation.experiments.rig import at_level
 
 PLANT = PlantConfig.load()
@@ -28,7 +28,7 @@ PLANT = PlantConfig.load()
 def open_phase(*names: str) -> Trial:
     """A phase of axis 1 opens at 0.1 .. 0.6 of the speed limit."""
     fault = OpenPhase(0, "b")
-    fault_case = InjectedFaultCase("open phase", str(fault), lambda board: board.inject(fault), lambda seen: names)
+    fault_case = FaultScenario("open phase", str(fault), lambda board: board.inject(fault), names)
     return Trial(1, 0, Motor.of("axis1", PLANT), STATES["under load"], fault_case, PLANT)
 
 
@@ -121,7 +121,7 @@ def test_dead_encoder_at_speed_is_not_detected_as_lost_phase() -> None:
     assert result.name == "ENCODER_LOST", str(result)
 
 
-def slip(state: str, rng: random.Random) -> InjectedFaultCase:
+def slip(state: str, rng: random.Random) -> FaultScenario:
     make, observed = INJECTED_FAULTS["encoder slips"]
     assert not observed
     return make(rng, Context(PLANT, 0, STATES[state]))

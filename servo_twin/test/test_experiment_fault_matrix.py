@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import fault_matrix
 from servo_twin.validation.experiments.fault_matrix import case, fault_cases, judge
+from servo_twin.validation.experiments.operating_states import Bench
 
 PLANT = PlantConfig.load()
 CASES = {fault_case.name: fault_case for fault_case in fault_cases(PLANT)}
@@ -38,9 +38,9 @@ def test_disabled_fault_counts_as_missed(monkeypatch: pytest.MonkeyPatch) -> Non
     """With the check disabled, the motor continues with two phases."""
     genuine = fault_matrix.STATES["100 rad/s"]
 
-    def deaf(board: Board) -> None:
-        genuine(board)
-        board.write("param.faults_enabled", [0, 0])
+    def deaf(bench: Bench) -> None:
+        genuine(bench)
+        bench.board.write("param.faults_enabled", [0, 0])
 
     monkeypatch.setattr(fault_matrix, "STATES", {"100 rad/s": deaf})
     found = case(PLANT, 7, CASES["open phase b"], "100 rad/s")

@@ -20,16 +20,15 @@ from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.runner import HERE, Runner, run_in_order
 from servo_twin.simulation import SimulationError
-from servo_twin.validation.experiments.campaign_faults import (
+from servo_twin.validation.experiments.campaign_motors import MOTORS, Motor, deviating
+from servo_twin.validation.experiments.fault_scenarios import (
     INJECTED_FAULTS,
     NO_FAULT,
     BusRange,
     Context,
-    InjectedFaultCase,
+    FaultScenario,
     no_fault,
 )
-from servo_twin.validation.experiments.campaign_motors import MOTORS, Motor, deviating
-from servo_twin.validation.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.validation.experiments.named_faults import (
     COMMON_FAULTS,
     FINAL_TIME,
@@ -38,6 +37,7 @@ from servo_twin.validation.experiments.named_faults import (
     fault_time,
     gain_max,
 )
+from servo_twin.validation.experiments.operating_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.validation.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.validation.experiments.rig import TICK, TICK_NS, at_level, level
 
@@ -73,7 +73,7 @@ class Trial:
     number: int  # number of the trial
     motor: Motor
     state: State
-    fault: InjectedFaultCase
+    fault: FaultScenario
     plant: PlantConfig  # true parameters
     motors: tuple[str, ...] = tuple(MOTORS)  # motors for the random selection
     nominal: PlantConfig | None = None  # argument of `draw`; None: not created by `draw`
@@ -179,7 +179,7 @@ class _Monitor:
         self._events.clear()
 
 
-def _gain(motor: AxisPlant, plant: PlantConfig, fault: InjectedFaultCase) -> float:
+def _gain(motor: AxisPlant, plant: PlantConfig, fault: FaultScenario) -> float:
     """Permitted gain of speed: the current decays against the bus, or in a short against drop and resistance."""
     shorted = fault.kind in SHORTS
     return gain_max(motor, motor.v_drop + 0.5 * motor.r_s * motor.i_break if shorted else plant.bus.u_source)

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.board_port import active, first_fault, place, word
+from servo_msgs_py.board_port import active, first_fault, reached, word, write_axis
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.board import Board
 from servo_twin.fault_injection import (
     CurrentNoise,
     EncoderGlitches,
     HotPowerStage,
-    InjectedFault,
     LockedRotor,
     OpenPhase,
     ShortedPhase,
@@ -25,6 +23,7 @@ from servo_twin.fault_injection import (
     SupplyDip,
 )
 from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.fault_scenarios import FaultScenario, scenario
 from servo_twin.validation.experiments.named_faults import (
     COMMON_FAULTS,
     FINAL_TIME,
@@ -33,8 +32,9 @@ from servo_twin.validation.experiments.named_faults import (
     fault_time,
     gain_max,
 )
+from servo_twin.validation.experiments.operating_states import Bench
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import TICK, fresh_board, until
+from servo_twin.validation.experiments.rig import TICK, fresh_board
 
 NAME: Final = "fault-matrix"
 HELP: Final = """\
@@ -54,7 +54,6 @@ OTHER_SPEED: Final = 100.0
 OTHER_ERROR_MAX: Final = 15.0
 """Permitted speed error of axis 2 by bus and noise [rad/s]."""
 
-REACHED_TIME: Final = 5.0  # timeout for reaching a state [s]
 WAIT: Final = 0.7  # time for the detection in the state [s]
 ROTATION_TIME_MAX: Final = 1005
 """Largest detection time in rotation [PWM periods]: one revolution at 100 rad/s."""
@@ -70,73 +69,50 @@ BY_CHARGE: Final = 0.1
 
 
 # ---- states
-def _keep_alive(board: Board) -> None:
-    """Write a command, because half a second without one is a fault."""
-    board.write("cmd.quick_stop", [0, 0])
-
-
-def _wait(board: Board, seconds: float) -> None:
-    for _ in range(max(round(seconds / 0.1), 1)):
-        _keep_alive(board)
-        board.run(min(seconds, 0.1))
-
-
-def _both(board: Board) -> None:
-    """Axis 2 rotates, axis 1 is in STOP."""
-    board.run(0.03)
-    board.write("cmd.enable", [0, 1])
-    until(board, "SPIN of axis 2", lambda: place(board, 1) == "SPIN", REACHED_TIME)
-    board.write("cmd.mode", [1, 1])
-    board.write("cmd.speed", [0.0, OTHER_SPEED])
-    _wait(board, 0.2)
-
-
-def _reach(where: str, seconds: float) -> Callable[[Board], None]:
+def _enabled(where: str, seconds: float) -> Callable[[Bench], None]:
     """Enable axis 1, wait for a sub-state and then for `seconds` [s]."""
 
-    def prepare(board: Board) -> None:
-        _both(board)
-        board.write("cmd.enable", [1, 1])
-        until(board, where, lambda: place(board, 0) == where, REACHED_TIME)
-        _wait(board, seconds)
+    def prepare(bench: Bench) -> None:
+        bench.boot()
+        bench.enable()
+        bench.until(where, lambda: bench.place == where)
+        bench.board.run(seconds)
 
     return prepare
 
 
-_hold: Final = _reach("SPIN", 0.1)
+_hold: Final = _enabled("SPIN", 0.1)
 
 
-def _speed(speed: float) -> Callable[[Board], None]:
-    def prepare(board: Board) -> None:
-        _hold(board)
-        board.write("cmd.mode", [1, 1])
-        board.write("cmd.speed", [speed, OTHER_SPEED])
-        _wait(board, 0.3)
+def _speed(speed: float) -> Callable[[Bench], None]:
+    def prepare(bench: Bench) -> None:
+        _hold(bench)
+        bench.speed(speed)
+        bench.board.run(0.3)
 
     return prepare
 
 
-def _torque(board: Board) -> None:
-    _hold(board)
-    board.write("cmd.mode", [2, 1])
-    board.write("cmd.i_q", [0.15, 0.0])
-    _wait(board, 0.2)
+def _torque(bench: Bench) -> None:
+    _hold(bench)
+    bench.torque(0.15)
+    bench.board.run(0.2)
 
 
-def _coast(board: Board) -> None:
+def _coast(bench: Bench) -> None:
     """A load keeps the shaft rotating until the stop is aborted."""
-    _speed(200.0)(board)
-    board.write("param.i_q_limit", [0.1, 4.0])
-    board.set_load(0, -0.006)
-    board.write("cmd.enable", [0, 1])
-    until(board, "FREEWHEEL", lambda: place(board, 0) == "FREEWHEEL", REACHED_TIME)
-    board.set_load(0, 0.0)
+    _speed(200.0)(bench)
+    write_axis(bench.board, "param.i_q_limit", bench.axis, 0.1)
+    bench.board.set_load(bench.axis, -0.006)
+    bench.enable(False)
+    bench.until("FREEWHEEL", lambda: bench.place == "FREEWHEEL")
+    bench.board.set_load(bench.axis, 0.0)
 
 
-STATES: Final[Mapping[str, Callable[[Board], None]]] = {
-    "STOP": _both,
-    "CALIB": _reach("CALIB", 0.005),
-    "ALIGN": _reach("ALIGN", 0.05),
+STATES: Final[Mapping[str, Callable[[Bench], None]]] = {
+    "STOP": Bench.boot,
+    "CALIB": _enabled("CALIB", 0.005),
+    "ALIGN": _enabled("ALIGN", 0.05),
     "hold": _hold,
     "20 rad/s": _speed(20.0),
     "100 rad/s": _speed(100.0),
@@ -147,27 +123,27 @@ STATES: Final[Mapping[str, Callable[[Board], None]]] = {
 """Operating states of axis 1: main states, sub-states, and SPIN in its modes."""
 
 
-def _provoke(board: Board) -> None:
+def _provoke(bench: Bench) -> None:
     """Command the axis to move."""
-    board.write("param.i_q_limit", [4.0, 4.0])
-    board.write("cmd.enable", [1, 1])
-    board.write("cmd.mode", [1, 1])
-    board.write("cmd.speed", [60.0, OTHER_SPEED])
+    write_axis(bench.board, "param.i_q_limit", bench.axis, 4.0)
+    bench.enable()
+    bench.speed(60.0)
 
 
 # ---- faults
 @dataclass(frozen=True)
 class FaultCase:
-    """One injected fault."""
+    """One injected fault, with its bounds."""
 
-    name: str
-    fault: InjectedFault  # fault for `Board.inject`
-    faults: tuple[str, ...]  # expected names; `NOTHING`: none
+    scenario: FaultScenario
     periods_max: int | None = ROTATION_TIME_MAX
     """Largest detection time in rotation [PWM periods]; None: no bound."""
-    provoked: bool = True  # must be detected when the axis moves
     apart: float | None = None
     """Permitted relative difference of the detection time between the levels, plus one slow tick; None: random."""
+
+    @property
+    def name(self) -> str:
+        return self.scenario.kind
 
 
 def fault_cases(plant: PlantConfig) -> list[FaultCase]:
@@ -175,21 +151,18 @@ def fault_cases(plant: PlantConfig) -> list[FaultCase]:
     noise = 3.0 * plant.axes[0].i_noise
     stuck = ((phase, code) for phase in "abc" for code in (0, 1500, 2050, 4095))
     return [
-        *(FaultCase(f"open phase {p}", OpenPhase(0, p), ("PHASE_LOST",)) for p in ("a", "b", "c")),
-        FaultCase("phase a to minus", ShortedPhase(0, "a", "minus"), ("OVER_CURRENT",), HARDWARE_TIME_MAX),
-        FaultCase("phase b to c", ShortedPhase(0, "b", "c"), ("OVER_CURRENT",), None),
-        *(
-            FaultCase(f"converter {p} at {c}", StuckConverter(0, p, c), ("CURRENT_SENSE",), None)  # type: ignore[arg-type]
-            for p, c in stuck
-        ),
-        *(FaultCase(f"encoder line {line}", StuckLine(0, line), ("ENCODER_LOST",)) for line in ("A", "B")),
-        FaultCase("rotor held", LockedRotor(0), ("STALLED", "ROTOR_SEARCH"), None, apart=BY_CLOCK),
-        FaultCase("supply gone", SupplyDip(0.0), ("UNDER_VOLTAGE",), None, apart=BY_CHARGE),
-        FaultCase("heat", HotPowerStage(0, 110.0), ("OVER_TEMPERATURE",), None, apart=BY_CLOCK),
-        FaultCase("core stands still 1 ms", StalledCore(0.001), ("LATE_LOOP",), None, provoked=False, apart=BY_CLOCK),
-        FaultCase("core hangs", StalledCore(0.2), ("WATCHDOG",), None, provoked=False, apart=BY_CLOCK),
-        FaultCase("noise x 3", CurrentNoise(0, noise), (NOTHING,)),
-        FaultCase("encoder glitches", EncoderGlitches(0, "A", 300.0), (NOTHING,)),
+        *(FaultCase(scenario(f"open phase {p}", OpenPhase(0, p))) for p in ("a", "b", "c")),
+        FaultCase(scenario("phase a to minus", ShortedPhase(0, "a", "minus")), HARDWARE_TIME_MAX),
+        FaultCase(scenario("phase b to c", ShortedPhase(0, "b", "c")), None),
+        *(FaultCase(scenario(f"converter {p} at {c}", StuckConverter(0, p, c)), None) for p, c in stuck),  # type: ignore[arg-type]
+        *(FaultCase(scenario(f"encoder line {line}", StuckLine(0, line))) for line in ("A", "B")),
+        FaultCase(scenario("rotor held", LockedRotor(0)), None, BY_CLOCK),
+        FaultCase(scenario("supply gone", SupplyDip(0.0), "UNDER_VOLTAGE"), None, BY_CHARGE),
+        FaultCase(scenario("heat", HotPowerStage(0, 110.0)), None, BY_CLOCK),
+        FaultCase(scenario("core stands still 1 ms", StalledCore(0.001)), None, BY_CLOCK),
+        FaultCase(scenario("core hangs", StalledCore(0.2)), None, BY_CLOCK),
+        FaultCase(scenario("noise x 3", CurrentNoise(0, noise))),
+        FaultCase(scenario("encoder glitches", EncoderGlitches(0, "A", 300.0))),
     ]
 
 
@@ -209,42 +182,35 @@ class Case:
 
     @property
     def name_correct(self) -> bool:
-        return self.name in self.fault_case.faults
+        return self.name in self.fault_case.scenario.reported
 
     @property
     def agrees(self) -> bool:
         return self.name_correct and self.gained <= self.gain_max and self.other
 
 
-def _fault_within(board: Board, seconds: float) -> bool:
-    for k in range(round(seconds / TICK)):
-        if k % 200 == 0:
-            _keep_alive(board)
-        board.run(TICK)
-        if word(board, 0, "faults"):
-            return True
-    return False
-
-
 def case(plant: PlantConfig, seed: int, fault_case: FaultCase, state: str) -> Case:
     """Inject a fault in a state and measure the response."""
+    injected = fault_case.scenario
     with fresh_board(plant, seed) as board:
-        STATES[state](board)
+        bench = Bench(board, 0, plant.axes[0], other_speed=OTHER_SPEED)
+        STATES[state](bench)
+
+        def found_within(seconds: float) -> bool:
+            return reached(board, lambda: word(board, 0, "faults") != 0, seconds)
+
         cause = board.time_ns // PERIOD_NS
-        board.inject(fault_case.fault)
-        found = _fault_within(board, WAIT)
+        injected.inject(board)
+        found = found_within(WAIT)
         periods = None
         if found:
-            time = fault_time(board, 0, lost_count=isinstance(fault_case.fault, StalledCore))
-            periods = max(time // PERIOD_NS - cause, 0)
-        elif fault_case.provoked:
-            _provoke(board)
-            found = _fault_within(board, PROVOKED_TIME)
+            periods = max(fault_time(board, 0, lost_count=injected.stops_core) // PERIOD_NS - cause, 0)
+        elif not injected.stops_core:
+            _provoke(bench)
+            found = found_within(PROVOKED_TIME)
         speed = abs(board.truth(0).omega_m)
         fastest = speed
-        for k in range(round(FINAL_TIME / TICK)):
-            if k % 200 == 0:
-                _keep_alive(board)
+        for _ in range(round(FINAL_TIME / TICK)):
             board.run(TICK)
             fastest = max(fastest, abs(board.truth(0).omega_m))
         name = first_fault(board, 0)
@@ -293,14 +259,14 @@ def judge(found: Sequence[Case]) -> Iterator[Item]:
 def _rows(judge: Judge, fault_case: FaultCase, own: Sequence[Case]) -> Iterator[Row]:
     """Fractions of passed cases; longest detection time in rotation, and without a motion command, if bounded."""
     for name, right in (
-        (" or ".join(fault_case.faults) or "no fault", [c.name_correct for c in own]),
+        (" or ".join(fault_case.scenario.reported) or "no fault", [c.name_correct for c in own]),
         ("no motion after the fault", [c.gained <= c.gain_max for c in own]),
         ("axis 2 as expected", [c.other for c in own]),
     ):
         yield judge(name, sum(right) / len(right), "of all", 1.0, 1.0)
     shown = [c for c in own if c.periods is not None]
     turning = [c.periods for c in shown if c.state in TURNING and c.periods is not None]
-    if fault_case.periods_max is not None and NOTHING not in fault_case.faults and turning:
+    if fault_case.periods_max is not None and NOTHING not in fault_case.scenario.reported and turning:
         yield judge("time until outputs off in rotation", max(turning), "PWM periods", 0.0, fault_case.periods_max)
     if fault_case.apart is not None and shown:
         latest, within = max(c.periods for c in shown if c.periods is not None), round(WAIT * 1e9 / PERIOD_NS)

@@ -1,4 +1,4 @@
-"""Operating states of the experiment fault-campaign, with random parameters."""
+"""Operating states for the injection of faults: bench with both axes, and states with random parameters."""
 
 from __future__ import annotations
 
@@ -38,21 +38,19 @@ class Bench:
     acceleration: float = field(init=False)  # limit [rad/s^2]
     current: float = field(init=False)  # limit of i_q [A]
     other_limit: float = field(init=False)  # speed limit of the other axis [rad/s]
+    other_speed: float = math.nan  # speed of the other axis [rad/s]; by default `OTHER_SPEED` of its limit
 
     def __post_init__(self) -> None:
         self.speed_limit = read_axis(self.board, "param.speed_limit", self.axis)
         self.acceleration = read_axis(self.board, "param.acceleration_limit", self.axis)
         self.current = read_axis(self.board, "param.i_q_limit", self.axis)
         self.other_limit = read_axis(self.board, "param.speed_limit", self.other)
+        if math.isnan(self.other_speed):
+            self.other_speed = OTHER_SPEED * self.other_limit
 
     @property
     def other(self) -> int:
         return 1 - self.axis
-
-    @property
-    def other_speed(self) -> float:
-        """Speed of the other axis [rad/s]."""
-        return OTHER_SPEED * self.other_limit
 
     # ---- state
     @property

@@ -1,4 +1,4 @@
-"""Injected faults of the experiment fault-campaign, with random parameters and expected fault names."""
+"""Scenarios of the fault experiments: what is injected, what must be reported; kinds with random parameters."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from servo_twin.fault_injection import (
     WornShaft,
 )
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.campaign_states import State
 from servo_twin.validation.experiments.named_faults import NOTHING
+from servo_twin.validation.experiments.operating_states import State
 
 NO_FAULT: Final = "no damage"
 """Kind of the trials without a fault, for false alarms."""
@@ -54,21 +54,43 @@ class BusRange:
     u_max: float  # largest voltage of the bus [V]
 
 
-@dataclass(frozen=True)
-class InjectedFaultCase:
-    """An injected fault with its parameters and expected results."""
+REPORTED: Final[Mapping[type[InjectedFault], tuple[str, ...]]] = {
+    OpenPhase: ("PHASE_LOST",),
+    ShortedPhase: ("OVER_CURRENT",),
+    StuckConverter: ("CURRENT_SENSE",),
+    StuckLine: ("ENCODER_LOST",),
+    LockedRotor: ("STALLED", "ROTOR_SEARCH"),  # in motion, or during the rotor search
+    HotPowerStage: ("OVER_TEMPERATURE",),
+    BadContact: (NOTHING,),
+    BusNoise: (NOTHING,),
+    CurrentNoise: (NOTHING,),
+    DryBearing: (NOTHING,),
+    EncoderGlitches: (NOTHING,),
+    ShiftedDisc: (NOTHING,),
+    WeakMagnet: (NOTHING,),
+}
+"""Faults that the firmware may report for an injected fault; `NOTHING`: it must tolerate it."""
 
-    kind: str  # key of `INJECTED_FAULTS`, or `NO_FAULT`
+
+@dataclass(frozen=True)
+class FaultScenario:
+    """An injected fault with its parameters, and what must follow."""
+
+    kind: str  # name in tables
     text: str  # description with the parameters
     inject: Callable[[Board], None]  # injects the fault into a board
-    expected_faults: Callable[[BusRange], tuple[str, ...]]
-    """Expected fault names for a course of the bus voltage; `NOTHING`: none."""
+    reported: tuple[str, ...] = ()
+    """Permitted names of the reported fault; `NOTHING`: none. Empty: determined by the course of the bus voltage."""
     move_if_undetected: bool = True
     """Commands the axis to move if the fault has not been detected by then; it must be detected at the latest then.
 
     If False, the axis is not commanded to move; `expected_faults` states whether the fault may stay undetected.
     """
     stops_core: bool = False  # the core stops and does not count the PWM periods
+
+    def expected_faults(self, seen: BusRange) -> tuple[str, ...]:
+        """Permitted names of the reported fault for a course of the bus voltage."""
+        return self.reported or _by_voltage(seen)
 
 
 @dataclass(frozen=True)
@@ -80,58 +102,57 @@ class Context:
     state: State
 
 
-def _injected(kind: str, fault: InjectedFault, *expected_faults: str) -> InjectedFaultCase:
-    return InjectedFaultCase(
-        kind,
-        str(fault),
-        lambda board: board.inject(fault),
-        lambda seen: expected_faults,
-        move_if_undetected=NOTHING not in expected_faults,
+def scenario(kind: str, fault: InjectedFault, *reported: str) -> FaultScenario:
+    """Scenario of one fault; `reported` replaces the names of `REPORTED`."""
+    if isinstance(fault, StalledCore):
+        late, dead = fault.seconds < 1.1 * WATCHDOG, fault.seconds > 0.9 * WATCHDOG
+        reported = (*(("LATE_LOOP",) if late else ()), *(("WATCHDOG",) if dead else ()))
+        return FaultScenario(kind, str(fault), lambda board: board.inject(fault), reported, False, stops_core=True)
+    by_voltage = isinstance(fault, SupplyDip) and not reported
+    names = reported or (() if by_voltage else REPORTED[type(fault)])
+    moves = not by_voltage and NOTHING not in names
+    return FaultScenario(kind, str(fault), lambda board: board.inject(fault), names, moves)
+
+
+def _open(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario("open phase", OpenPhase(context.axis, rng.choice("abc")))  # type: ignore[arg-type]
+
+
+def _cable(rng: random.Random, context: Context) -> FaultScenario:
+    return FaultScenario(
+        "motor cable", "no motor", lambda board: board.connect_motor(context.axis, False), ("PHASE_LOST",)
     )
 
 
-def _open(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return _injected("open phase", OpenPhase(context.axis, rng.choice("abc")), "PHASE_LOST")  # type: ignore[arg-type]
+def _to_minus(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario("short to minus", ShortedPhase(context.axis, rng.choice("abc"), "minus"))  # type: ignore[arg-type]
 
 
-def _cable(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return InjectedFaultCase(
-        "motor cable", "no motor", lambda board: board.connect_motor(context.axis, False), lambda seen: ("PHASE_LOST",)
-    )
-
-
-def _to_minus(rng: random.Random, context: Context) -> InjectedFaultCase:
-    phase = rng.choice("abc")
-    return _injected("short to minus", ShortedPhase(context.axis, phase, "minus"), "OVER_CURRENT")  # type: ignore[arg-type]
-
-
-def _between(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _between(rng: random.Random, context: Context) -> FaultScenario:
     one, other = rng.sample("abc", 2)
-    return _injected("short between phases", ShortedPhase(context.axis, one, other), "OVER_CURRENT")  # type: ignore[arg-type]
+    return scenario("short between phases", ShortedPhase(context.axis, one, other))  # type: ignore[arg-type]
 
 
-def _converter(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _converter(rng: random.Random, context: Context) -> FaultScenario:
     code = rng.choice((0, 4095, rng.randint(0, 4095), rng.randint(0, 4095), rng.randint(1990, 2110)))
+    fault = StuckConverter(context.axis, rng.choice("abc"), code)  # type: ignore[arg-type]
     # Before the offset measurement a stuck converter may also be reported as an invalid offset.
-    expected_faults = ("CURRENT_SENSE",) if context.state.calibrated else ("CURRENT_SENSE", "CURRENT_OFFSET")
-    return _injected("converter stuck", StuckConverter(context.axis, rng.choice("abc"), code), *expected_faults)  # type: ignore[arg-type]
+    early = () if context.state.calibrated else (*REPORTED[StuckConverter], "CURRENT_OFFSET")
+    return scenario("converter stuck", fault, *early)
 
 
-def _line(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _line(rng: random.Random, context: Context) -> FaultScenario:
     line = StuckLine(context.axis, rng.choice("AB"), rng.random() < 0.5)  # type: ignore[arg-type]
-    return _injected("encoder line", line, "ENCODER_LOST")
+    return scenario("encoder line", line)
 
 
-def _plug(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return InjectedFaultCase(
-        "encoder plug",
-        "no encoder",
-        lambda board: board.connect_encoder(context.axis, False),
-        lambda seen: ("ENCODER_LOST",),
+def _plug(rng: random.Random, context: Context) -> FaultScenario:
+    return FaultScenario(
+        "encoder plug", "no encoder", lambda board: board.connect_encoder(context.axis, False), ("ENCODER_LOST",)
     )
 
 
-def _slip(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _slip(rng: random.Random, context: Context) -> FaultScenario:
     """No effect before the rotor search; afterwards a small slip reduces the torque."""
     motor = context.plant.axes[context.axis]
     degrees = rng.choice((-1.0, 1.0)) * rng.uniform(SLIP_MIN, 180.0)
@@ -144,13 +165,13 @@ def _slip(rng: random.Random, context: Context) -> InjectedFaultCase:
         expected_faults = (NOTHING, "ANGLE_MISMATCH")
     else:
         expected_faults = ("ANGLE_MISMATCH",)
-    return _injected("encoder slips", slip, *expected_faults)
+    return scenario("encoder slips", slip, *expected_faults)
 
 
-def _held(rng: random.Random, context: Context) -> InjectedFaultCase:
-    # In motion, or during the rotor search; without an encoder: in closed loop, or during the start-up.
-    expected_faults = ("SPEED_FEEDBACK", "START_UP") if context.state.sensorless else ("STALLED", "ROTOR_SEARCH")
-    return _injected("rotor held", LockedRotor(context.axis), *expected_faults)
+def _held(rng: random.Random, context: Context) -> FaultScenario:
+    # Without an encoder: in closed loop, or during the start-up.
+    reported = ("SPEED_FEEDBACK", "START_UP") if context.state.sensorless else ()
+    return scenario("rotor held", LockedRotor(context.axis), *reported)
 
 
 def _by_voltage(seen: BusRange) -> tuple[str, ...]:
@@ -164,64 +185,51 @@ def _by_voltage(seen: BusRange) -> tuple[str, ...]:
     return tuple(expected_faults)
 
 
-def _dip(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _dip(rng: random.Random, context: Context) -> FaultScenario:
     seconds = rng.choice((math.inf, 10.0 ** rng.uniform(-3.0, 0.0)))
-    dip = SupplyDip(rng.choice((0.0, rng.uniform(0.0, 23.0), rng.uniform(16.5, 23.0))), seconds)
-    return InjectedFaultCase(
-        "supply dip", str(dip), lambda board: board.inject(dip), _by_voltage, move_if_undetected=False
+    return scenario(
+        "supply dip", SupplyDip(rng.choice((0.0, rng.uniform(0.0, 23.0), rng.uniform(16.5, 23.0))), seconds)
     )
 
 
-def _surge(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _surge(rng: random.Random, context: Context) -> FaultScenario:
     surge = SupplyDip(rng.uniform(25.0, 36.0), rng.choice((math.inf, 10.0 ** rng.uniform(-3.0, 0.0))))
-    return InjectedFaultCase(
-        "supply surge", str(surge), lambda board: board.inject(surge), _by_voltage, move_if_undetected=False
-    )
+    return scenario("supply surge", surge)
 
 
-def _heat(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return _injected("heat", HotPowerStage(context.axis, rng.uniform(87.0, 145.0)), "OVER_TEMPERATURE")
+def _heat(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario("heat", HotPowerStage(context.axis, rng.uniform(87.0, 145.0)))
 
 
-def _stall(rng: random.Random, context: Context) -> InjectedFaultCase:
-    fault = StalledCore(10.0 ** rng.uniform(-3.3, -0.7))
-    late, dead = fault.seconds < 1.1 * WATCHDOG, fault.seconds > 0.9 * WATCHDOG
-    expected_faults = (*(("LATE_LOOP",) if late else ()), *(("WATCHDOG",) if dead else ()))
-    return InjectedFaultCase(
-        "core stalled",
-        str(fault),
-        lambda board: board.inject(fault),
-        lambda seen: expected_faults,
-        move_if_undetected=False,
-        stops_core=True,
-    )
+def _stall(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario("core stalled", StalledCore(10.0 ** rng.uniform(-3.3, -0.7)))
 
 
-def _noise(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _noise(rng: random.Random, context: Context) -> FaultScenario:
     noise = CurrentNoise(context.axis, rng.uniform(1.0, 3.0) * context.plant.axes[context.axis].i_noise)
-    return _injected("current noise", noise, NOTHING)
+    return scenario("current noise", noise)
 
 
-def _bus_noise(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return _injected("bus noise", BusNoise(rng.uniform(1.0, 10.0) * context.plant.bus.u_noise), NOTHING)
+def _bus_noise(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario("bus noise", BusNoise(rng.uniform(1.0, 10.0) * context.plant.bus.u_noise))
 
 
-def _glitches(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _glitches(rng: random.Random, context: Context) -> FaultScenario:
     glitches = EncoderGlitches(context.axis, rng.choice("AB"), rng.uniform(10.0, 300.0))  # type: ignore[arg-type]
-    return _injected("encoder glitches", glitches, NOTHING)
+    return scenario("encoder glitches", glitches)
 
 
-def _magnet(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return _injected("weak magnet", WeakMagnet(context.axis, rng.uniform(0.7, 1.0)), NOTHING)
+def _magnet(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario("weak magnet", WeakMagnet(context.axis, rng.uniform(0.7, 1.0)))
 
 
-def _contact(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return _injected(
-        "bad contact", BadContact(context.axis, rng.uniform(0.0, 0.5) * context.plant.axes[context.axis].r_s), NOTHING
+def _contact(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario(
+        "bad contact", BadContact(context.axis, rng.uniform(0.0, 0.5) * context.plant.axes[context.axis].r_s)
     )
 
 
-def _worn(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _worn(rng: random.Random, context: Context) -> FaultScenario:
     """An elastic shaft with a fifth of the inertia on the load side, and backlash."""
     axis = context.plant.axes[context.axis]
     load, rotor = WORN_LOAD * axis.inertia, (1.0 - WORN_LOAD) * axis.inertia
@@ -241,19 +249,19 @@ def _worn(rng: random.Random, context: Context) -> InjectedFaultCase:
         )
         board.inject(worn)
 
-    return InjectedFaultCase("worn shaft", str(worn), inject, lambda seen: (NOTHING,), move_if_undetected=False)
+    return FaultScenario("worn shaft", str(worn), inject, (NOTHING,), move_if_undetected=False)
 
 
-def _disc(rng: random.Random, context: Context) -> InjectedFaultCase:
+def _disc(rng: random.Random, context: Context) -> FaultScenario:
     disc = ShiftedDisc(context.axis, rng.uniform(0.0, 0.02), rng.uniform(0.0, 2.0 * math.pi))
-    return _injected("shifted disc", disc, NOTHING)
+    return scenario("shifted disc", disc)
 
 
-def _bearing(rng: random.Random, context: Context) -> InjectedFaultCase:
-    return _injected("dry bearing", DryBearing(context.axis, rng.uniform(1.0, 5.0)), NOTHING)
+def _bearing(rng: random.Random, context: Context) -> FaultScenario:
+    return scenario("dry bearing", DryBearing(context.axis, rng.uniform(1.0, 5.0)))
 
 
-INJECTED_FAULTS: Final[Mapping[str, tuple[Callable[[random.Random, Context], InjectedFaultCase], bool]]] = {
+INJECTED_FAULTS: Final[Mapping[str, tuple[Callable[[random.Random, Context], FaultScenario], bool]]] = {
     "open phase": (_open, True),
     "motor cable": (_cable, True),
     "short to minus": (_to_minus, True),
@@ -279,7 +287,7 @@ INJECTED_FAULTS: Final[Mapping[str, tuple[Callable[[random.Random, Context], Inj
 """Random generator of each kind, and whether it affects a sensorless axis."""
 
 
-def no_fault(where: Context) -> InjectedFaultCase:
+def no_fault(where: Context) -> FaultScenario:
     """Three times the normal noise, which is not a fault."""
     axis, bus = where.plant.axes[where.axis], where.plant.bus
 
@@ -287,4 +295,4 @@ def no_fault(where: Context) -> InjectedFaultCase:
         board.inject(CurrentNoise(where.axis, 3.0 * axis.i_noise))
         board.inject(BusNoise(3.0 * bus.u_noise))
 
-    return InjectedFaultCase(NO_FAULT, "noise", inject, lambda seen: (NOTHING,), move_if_undetected=False)
+    return FaultScenario(NO_FAULT, "noise", inject, (NOTHING,), move_if_undetected=False)
