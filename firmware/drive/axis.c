@@ -13,7 +13,7 @@
 #include "drive/limits.h"
 #include "drive/monitors.h"
 #include "drive/motion.h"
-#include "drive/run_step.h"
+#include "drive/run_states.h"
 #include "drive/soft_limits.h"
 #include "drive/stop.h"
 #include "drive/test_signal.h"
@@ -107,7 +107,7 @@ void axis_fast(axis_t *axis)
         enter_fault_if_requested(axis);
     }
     if (axis->sm.state == STATE_RUN && (axis->sm.ctrl & (SM_CTRL_FAULT | SM_CTRL_STOP)) == 0U) {
-        run_state_step(axis, axis->fast); /* direct call: the fast loop is time-critical */
+        run_state_step(axis, axis->fast); /* without sm_step: the fast loop is time-critical */
         if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
             return; /* the usual case */
         }

@@ -3,7 +3,6 @@
 
 #include "drive/outputs.h"
 #include "drive/run_states.h"
-#include "drive/run_step.h"
 
 /* ---- states --------------------------------------------------------------------------------------------------- */
 

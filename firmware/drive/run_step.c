@@ -8,5 +8,3 @@ void spin_fast(axis_t *axis) { drive_current(axis, axis->feedback.theta_e); }
 void spin_observed_fast(axis_t *axis) { drive_observed(axis, axis->feedback.theta_e); }
 
 void spin_test_signal_fast(axis_t *axis) { test_signal_drive(axis, axis->feedback.theta_e); }
-
-void run_state_step(axis_t *axis, axis_loop_t loop) { run_table[axis->substate][loop](axis); }

@@ -1,4 +1,4 @@
-"""The includes of the firmware: no circle, and the permitted dependencies of folders.
+"""The includes and the links of the firmware: no circle, and the permitted dependencies of folders.
 
 A unit is a source file with its header: `app/servo` stands for ``app/servo.c`` and ``app/servo.h``.
 """
@@ -6,11 +6,13 @@ A unit is a source file with its header: `app/servo` stands for ``app/servo.c`` 
 from __future__ import annotations
 
 import re
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from firmware_compiler import FIRMWARE
+from core_library import CORE_SOURCES
+from firmware_compiler import FIRMWARE, compile_objects
 
 INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
 Graph = Mapping[str, set[str]]
@@ -30,6 +32,20 @@ def include_graph(root: Path) -> dict[str, set[str]]:
             units.add(found.relative_to(root).with_suffix("").as_posix())
         units.discard(name.as_posix())
     return graph
+
+
+def link_graph(objects: Mapping[str, Path]) -> dict[str, set[str]]:
+    """Units with the external functions and data that each unit uses."""
+    owner: dict[str, str] = {}
+    used: dict[str, set[str]] = {unit: set() for unit in objects}
+    for unit, path in objects.items():
+        symbols = subprocess.run(["nm", "--extern-only", path], check=True, capture_output=True, text=True).stdout
+        for *_, kind, symbol in map(str.split, symbols.splitlines()):
+            if kind == "U":
+                used[unit].add(symbol)
+            else:
+                owner[symbol] = unit
+    return {unit: {owner[name] for name in names if name in owner} for unit, names in used.items()}
 
 
 def circle_of(graph: Graph) -> list[str]:
@@ -86,6 +102,13 @@ def test_dependencies_of_the_drive_have_one_direction_from_axis_to_latch(graph: 
     for lower, upper in (("axis_states", "axis"), ("run_states", "axis_states"), ("axis_faults", "run_states")):
         assert f"drive/{lower}" in graph[f"drive/{upper}"]
     assert "diagnosis/fault_latch" in reached_from(graph, "drive")
+
+
+def test_no_object_file_needs_itself_indirectly(tmp_path: Path) -> None:
+    objects = compile_objects(tmp_path / "objects", CORE_SOURCES, ["-O0"], "gcc")
+    graph = link_graph(dict(zip((name.removesuffix(".c") for name in CORE_SOURCES), objects, strict=True)))
+    assert "drive/run_step" in graph["drive/run_states"]
+    assert " -> ".join(circle_of(graph)) == ""
 
 
 def test_a_circle_of_includes_is_found(tmp_path: Path) -> None:
