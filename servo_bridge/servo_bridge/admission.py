@@ -50,6 +50,9 @@ RESUME_TIME: Final = 0.5
 SETTLING: Final = 0.5
 """Time after a command of another source in which a path does not join: the motion has not begun [s]."""
 
+_HERE: Final = 0.1 * JOIN_DISTANCE
+"""A train that begins with a velocity this close to its joint is one of a velocity controller [rad]."""
+
 _CLOCK_STEP: Final = 0.1
 """Longest step of the clock of the trains: a computer that was busy does not make a message isolated [s]."""
 
@@ -108,9 +111,10 @@ class _Train:
     steps: int = 0  # newest messages whose position changes at velocity zero
     drive: _Drive = _Drive.PATH
     contradictions: int = 0  # newest messages with the same position and a velocity
-    velocity_commanded: bool = False  # whether the velocity has left zero at a constant position
+    velocity_commanded: bool = False  # whether the velocity has left zero at a constant position, or silence
     executed: bool = False  # whether a message has been executed since the joint was released
     old: bool = False  # whether it began before the joint was released last
+    repeats: bool = False  # whether its first message repeats the last one of the train before it
     origin: float | None = None  # where the present motion has begun [rad]
 
     @property
@@ -228,7 +232,8 @@ class Admission:
                 axis.waiting = self._time, point
             else:
                 result.points[number] = chosen
-                axis.executed = point.streamed, self._time
+                if point.position is not None or point.velocity or point.effort:  # not a command to stand
+                    axis.executed = point.streamed, self._time
                 train.executed = True
                 if train.same >= _HELD:
                     axis.barred = None
@@ -240,8 +245,10 @@ class Admission:
         axis.waiting = None if point.position is not None and not point.streamed else axis.waiting
         train = axis.trains.get(point.streamed)
         if train is None or self._time - train.time >= GAP:
-            train = axis.trains[point.streamed] = _Train(point, self._time, stamp, number in self._wrapping)
+            repeats = train is not None and train.point == point
+            train = _Train(point, self._time, stamp, number in self._wrapping, repeats=repeats)
             train.find_origin()
+            axis.trains[point.streamed] = train
         else:
             before = train.point
             if released and not axis.released:
@@ -271,6 +278,10 @@ class Admission:
             return self._expiring(train, place)
         if not point.streamed:
             return self._position(axis, train, place, point.position)
+        if train.before is None:
+            # The hardware interface is silent while commands and states agree; then a velocity controller commands.
+            here = place.distance(point.position) <= _HERE and abs(place.velocity) <= JOIN_SPEED
+            train.velocity_commanded = bool(point.velocity) and here and not train.repeats
         train.drive = _driven(train)
         if train.drive is _Drive.VELOCITY:
             if train.velocity_commanded:

@@ -184,6 +184,36 @@ def test_velocity_of_a_controller_under_a_stale_position_is_executed(rate: float
 
 
 @RATES
+@pytest.mark.parametrize("goal", [True, False])
+def test_velocity_of_a_controller_is_executed_after_silence(rate: float, goal: bool) -> None:
+    """The hardware interface sends nothing while its commands agree with the states."""
+    joint = Joint()
+    if goal:
+        joint.train(linear(0.0, 1.0, 1.0, rate), rate)
+        joint.velocity = 0.0
+        joint.wait(1.0)
+    before, place = len(joint.executed), joint.position
+    joint.train(held(place, 50, 5.0), rate)
+    assert joint.executed[before + 3 :] == [JointSetPoint(velocity=5.0)] * 47
+    joint.release()
+    joint.position = place
+    joint.wait(1.0)
+    before = len(joint.executed)
+    joint.train(held(place, 50, 5.0), rate)
+    assert not any(point.velocity for point in joint.executed[before + 3 :]), "the repeated velocity is not fresh"
+
+
+@RATES
+def test_a_controller_that_started_without_states_does_not_bar_its_goal(rate: float) -> None:
+    """A trajectory controller that is activated before the first state sends NaN and velocity 0."""
+    joint = Joint()
+    joint.train([JointSetPoint(velocity=0.0)] * 50, rate)
+    path = linear(0.0, 2.0, 1.0, rate)
+    joint.train(path, rate)
+    assert joint.executed[50:] == path
+
+
+@RATES
 @pytest.mark.parametrize("event", ["stopped and enabled", "paused"])
 def test_a_stale_velocity_is_not_executed_again(rate: float, event: str) -> None:
     joint = Joint()
