@@ -174,6 +174,17 @@ def test_both_axes_start_at_once(core: Core) -> None:
     assert b.axis(0).startup.step > 0 > b.axis(1).startup.step
 
 
+def test_pll_continues_at_its_speed_until_it_is_locked(bench: Bench) -> None:
+    to_ready(bench)
+    bench.write(0, speed=speed(100.0))
+    bench.to_substate(0, SUBSTATE.STARTUP, 3)
+    estimate = bench.axis(0).estimate
+    assert not estimate.locked
+    estimate.pll.step, before = 12_345, estimate.pll.angle
+    bench.core.lib.probe_run(bench.servo, 1)
+    assert (estimate.pll.angle - before) % 2**32 == 12_345
+
+
 def test_missing_back_emf_in_spin_is_detected(bench: Bench) -> None:
     """Forced into SPIN without a back-EMF: the observed speed is not accepted."""
     to_ready(bench)

@@ -97,10 +97,6 @@ def test_voltage_of_a_sensorless_start_is_not_detected_as_lost_phase() -> None:
     assert not result.failed, str(result)
 
 
-@pytest.mark.xfail(
-    strict=False,
-    reason="ENCODER_LOST at 0.62 s: a false alarm that depends on the durations of the handlers",
-)
 @pytest.mark.slow
 def test_integrated_noise_is_not_detected_as_back_emf() -> None:
     """A motor whose resistive voltage exceeds its back-EMF, with three times the usual noise."""
