@@ -219,6 +219,7 @@ def test_the_record_ends_with_the_fault_and_is_kept_until_it_is_cleared(bench: B
     for k in range(30):
         bench.hal.bus_code = 2700 + k
         bench.slow()
+    bench.hal.bus_code = 2750
     bench.hal.axis[0].over_current = True
     tick = bench.servo.tick
     bench.slow()
@@ -228,7 +229,7 @@ def test_the_record_ends_with_the_fault_and_is_kept_until_it_is_cleared(bench: B
     rings = [list(record.u_dc), list(record.i_q)]
     order = [(record.next + k) % 64 for k in range(64)]
     assert record.size == 64
-    assert [round(rings[0][k] / 8) for k in order][-31:-1] == [2700 + k for k in range(30)]
+    assert [round(rings[0][k] / 8) for k in order][-31:] == [*(2700 + k for k in range(30)), 2750]
     bench.hal.bus_code = 2800
     bench.slow(10)
     assert [list(record.u_dc), list(record.i_q)] == rings
