@@ -69,7 +69,7 @@ def test_refusals_of_the_bridge_are_printed(rig: Rig, command: Command) -> None:
     one = [rig.link.catalogue["param.position_max"].to_raw(1.0)] * 2
     rig.link.parameters["param.position_max"] = one
     rig.connect()
-    rig.until(lambda: rig.parameters()["param.position_max"] == one)
+    rig.until(lambda: rig.parameters().get("param.position_max") == one)
     status, out, err = command("set", "param.position_min[0]=2")
     assert (status, out) == (1, "")
     assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad exceeds")
