@@ -66,9 +66,9 @@ _HELD: Final = 3
 class NotJoined(Rejected):
     """A set-point was refused, because it does not begin where its joint is."""
 
-    def __init__(self, joint: str, text: str) -> None:
+    def __init__(self, kind: str, text: str) -> None:
         super().__init__(text)
-        self.kind = joint
+        self.kind = kind
 
 
 @dataclass(frozen=True)
@@ -288,6 +288,7 @@ class Admission:
                 return JointSetPoint(velocity=point.velocity)
             raise self._refusal(
                 place,
+                "contradiction",
                 f"the position is constant at {point.position:g} rad, but the velocity is {point.velocity:g} rad/s; "
                 "which one is commanded is not known: send NaN for the other one, or change the one",
             )
@@ -308,6 +309,7 @@ class Admission:
         name, unit = ("velocity", "rad/s") if velocity else ("effort", "N m")
         raise self._refusal(
             place,
+            "continues",
             f"the {name} is {value:g} {unit} since before the axes were enabled; it is accepted after one of 0, or "
             f"after a pause of {GAP:g} s",
         )
@@ -330,11 +332,13 @@ class Admission:
         if place.holder is None and train.old and train.same > 1:
             raise self._refusal(
                 place,
+                "repeats",
                 f"the position {position:g} rad repeats a set-point from before the axes were enabled; it is accepted "
                 f"when it changes to a place of the joint, by a step, or alone; {_where(place, position)}",
             )
         raise self._refusal(
             place,
+            "position",
             f"{_where(place, position)}; messages closer than {GAP:g} s must begin where the joint is, within "
             f"{JOIN_DISTANCE:g} rad: send a single message, or use {place.joint}/position",
         )
@@ -359,6 +363,7 @@ class Admission:
         if place.distance(position) > JOIN_DISTANCE + ahead:
             raise self._refusal(
                 place,
+                "stream",
                 f"{_where(place, position)}; a stream begins within {JOIN_DISTANCE + ahead:.2g} rad of the joint: "
                 f"start it from the measured position, for example by a new goal of the controller or by its "
                 f"reactivation, or move the joint with {place.joint}/position",
@@ -368,13 +373,16 @@ class Admission:
         mover = self._moved_by(axis, train, place)
         if mover:
             raise self._refusal(
-                place, f"{mover} moves the joint; the stream is accepted when it begins at the joint after that"
+                place,
+                "moved",
+                f"{mover} moves the joint; the stream is accepted when it begins at the joint after that",
             )
         differs = abs(velocity - place.velocity) > JOIN_SPEED + 0.1 * abs(velocity)
         begun = train.origin is not None and place.distance(train.origin) <= JOIN_DISTANCE + ahead
         if differs and (not begun or abs(place.velocity) > JOIN_SPEED):
             raise self._refusal(
                 place,
+                "passes",
                 f"the stream passes the joint with {velocity:g} rad/s, the joint has {place.velocity:.2g} rad/s; "
                 "start it from the measured position",
             )
@@ -387,8 +395,8 @@ class Admission:
         other = form is not train.point.streamed and place.holder is not None and self._time - time < SETTLING
         return f"another sender on {self._topic}" if other else ""
 
-    def _refusal(self, place: Place, reason: str) -> NotJoined:
-        return NotJoined(place.joint, f"{self._topic}: {place.joint}: {reason}")
+    def _refusal(self, place: Place, rule: str, reason: str) -> NotJoined:
+        return NotJoined(f"{place.joint} {rule}", f"{self._topic}: {place.joint}: {reason}")
 
 
 def _driven(train: _Train) -> _Drive:

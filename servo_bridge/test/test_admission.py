@@ -28,6 +28,7 @@ class Joint:
         self.streaming = False
         self.executed: list[JointSetPoint] = []
         self.refused: list[str] = []
+        self.kinds: list[str] = []  # of the refusals
         self.stopped = 0
 
     def wait(self, seconds: float) -> None:
@@ -41,6 +42,7 @@ class Joint:
         place = Place("arm", self.position, self.velocity, self.holder, self.moved_by, self.streaming)
         admitted = self.admission.decide({0: point}, self.now, {0: place}, command=command)
         self.refused += map(str, admitted.refused)
+        self.kinds += [error.kind for error in admitted.refused]
         self.stopped += len(admitted.stop)
         if admitted.stop:
             self.streaming = False
@@ -211,6 +213,13 @@ def test_a_controller_that_started_without_states_does_not_bar_its_goal(rate: fl
     path = linear(0.0, 2.0, 1.0, rate)
     joint.train(path, rate)
     assert joint.executed[50:] == path
+
+
+def test_a_refusal_for_another_reason_is_of_another_kind() -> None:
+    """Refusals of one kind that follow each other are logged once."""
+    joint = Joint(5.0)
+    joint.train([*held(0.0, 20), *held(1.0, 20, 3.0)])
+    assert list(dict.fromkeys(joint.kinds)) == ["arm stream", "arm contradiction"]
 
 
 @RATES
