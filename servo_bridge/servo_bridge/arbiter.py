@@ -152,7 +152,7 @@ class Arbiter(Part):
         """Discard the pending set-points and the path of an axis; a source must join it again (see `admission`)."""
         self.sources.release(axis)
         self._head(axis, 0.0)
-        self.queue.drop(axis, reason)
+        self.queue.put(axis, None, reason)
 
     @property
     def armed(self) -> bool:
@@ -176,11 +176,12 @@ class Arbiter(Part):
         """
         targets = self.check(*requests)
         for request in requests:
-            self._claim(Source(request.source, _QUANTITY[request.mode][0]), request.values)
+            source = Source(request.source, _QUANTITY[request.mode][0])
+            self.sources.claim(source, request.values, self._joints, self.queue.follows)
             for axis, value in request.values.items():
                 self._head(axis, 0.0 if request.mode is Mode.POSITION else math.copysign(bool(value), value))
-        for axis, (source, target) in targets.items():
-            self.queue.put(axis, target, f"a set-point on {source} took over")
+        for axis, (topic, target) in targets.items():
+            self.queue.put(axis, target, f"a set-point on {topic} took over")
 
     def check(self, *requests: SetPointRequest) -> dict[int, tuple[str, Target]]:
         """Check requests as `submit`, without an effect.
@@ -213,13 +214,13 @@ class Arbiter(Part):
         """State of an axis that a set-point of a topic wants to join; after `check_ready`."""
         joint, holder = self.joints[axis], self.sources.holder(axis)
         position, velocity = self._position(axis), self.velocity(axis)
-        moves = axis in self.queue.following or self.sources.age(axis) < SETTLING or abs(velocity) > JOIN_SPEED
+        moves = self.queue.follows(axis) or self.sources.age(axis) < SETTLING or abs(velocity) > JOIN_SPEED
         other = holder.topic if holder is not None and holder.topic != topic and moves else ""
         return Place(joint.name, position, velocity, holder, other, streaming, joint.wraps)
 
     def admit_path(self, source: str, axes: Collection[int]) -> None:
         """Register that some axes follow a path from now on; after `check_source`."""
-        self._claim(Source(source, "trajectory"), axes)
+        self.sources.claim(Source(source, "trajectory"), axes, self._joints, self.queue.follows)
         for axis in axes:
             self._head(axis, 0.0)
         self.queue.discard(axes)
@@ -233,7 +234,7 @@ class Arbiter(Part):
             If they do not.
         """
         self.check_ready(source, axes)
-        self.sources.require(source, axes, self._joints, self.queue.following)
+        self.sources.require(source, axes, self._joints, self.queue.follows)
 
     def check_ready(self, source: str, axes: Iterable[int]) -> None:
         """Check that some axes accept set-points.
@@ -264,9 +265,6 @@ class Arbiter(Part):
                 )
 
     # ---- details
-    def _claim(self, source: Source, axes: Iterable[int]) -> None:
-        self.sources.claim(source, axes, self._joints, self.queue.following)
-
     def _head(self, axis: int, heading: float) -> None:
         self._heading[axis] = heading
         if heading != self._blocked_heading[axis]:

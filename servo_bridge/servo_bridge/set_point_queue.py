@@ -104,25 +104,20 @@ class SetPointQueue:
         """Use this source of timed points, for axes without a set-point."""
         self._paths = paths
 
-    @property
-    def following(self) -> Collection[int]:
-        """Axes that follow a path."""
-        return () if self._paths is None else self._paths.axes
+    def follows(self, axis: int) -> bool:
+        """Whether an axis follows a path."""
+        return self._paths is not None and axis in self._paths.axes
 
-    def put(self, axis: int, target: Target, reason: str) -> None:
-        """Set the pending set-point of an axis; `reason` is reported for a path that it ends."""
+    def put(self, axis: int, target: Target | None, reason: str) -> None:
+        """Set the pending set-point of an axis, None: none; `reason` is reported for a path that it ends."""
         self._targets[axis] = target
-        self._end_path(axis, reason)
+        if self._paths is not None and axis in self._paths.claimed:
+            self._paths.cancel(axis, reason)
 
     def discard(self, axes: Iterable[int]) -> None:
         """Discard the pending set-points of axes, which then follow a path."""
         for axis in axes:
             self._targets[axis] = None
-
-    def drop(self, axis: int, reason: str) -> None:
-        """Discard the pending set-point of an axis, and end its path."""
-        self._targets[axis] = None
-        self._end_path(axis, reason)
 
     def halt(self, axes: Iterable[int], reason: str) -> None:
         """Stop axes with the acceleration limit of the board and hold, whatever they follow or will follow.
@@ -132,7 +127,7 @@ class SetPointQueue:
         axes = list(axes)
         self._stop(axes)
         for axis in axes:
-            self.drop(axis, reason)
+            self.put(axis, None, reason)
 
     def halt_paths(self, axes: Iterable[int], reason: str) -> None:
         """Stop axes as `halt`, but only their paths end: a requested one begins when they hold."""
@@ -163,11 +158,11 @@ class SetPointQueue:
         if self._halted:
             halted, self._halted = self._halted, set()
             return _joined("cmd.mode", dict.fromkeys(halted, Mode.POSITION.value))
-        following, waiting, changes = self.following, dict[int, Target](), dict[int, int]()
+        waiting, changes = dict[int, Target](), dict[int, int]()
         for axis, (mode, target) in enumerate(zip(self._modes, self._targets, strict=True)):
             if target is not None:
                 waiting[axis] = target
-            wanted = target.mode if target is not None else Mode.TRAJECTORY if axis in following else mode
+            wanted = target.mode if target is not None else Mode.TRAJECTORY if self.follows(axis) else mode
             if wanted is not None and wanted is not mode:
                 changes[axis] = wanted.value
         if changes:
@@ -208,7 +203,7 @@ class SetPointQueue:
         else:
             for axis in axes:
                 self._modes[axis] = None
-                self.drop(axis, f"the board refused {write.variable}")
+                self.put(axis, None, f"the board refused {write.variable}")
         return True
 
     def _stop(self, axes: Iterable[int]) -> None:
@@ -216,10 +211,6 @@ class SetPointQueue:
         for axis in axes:
             self._modes[axis] = None
             self._halted.add(axis)
-
-    def _end_path(self, axis: int, reason: str) -> None:
-        if self._paths is not None and axis in self._paths.claimed:
-            self._paths.cancel(axis, reason)
 
 
 def _axes_of(write: CommandWrite) -> list[int]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -63,7 +63,7 @@ class Sources:
             return None
         return self._conflict[1]
 
-    def require(self, topic: str, axes: Iterable[int], joints: Sequence[str], following: Collection[int]) -> None:
+    def require(self, topic: str, axes: Iterable[int], joints: Sequence[str], follows: Callable[[int], bool]) -> None:
         """Check that a topic may command some axes; arguments as in `claim`.
 
         Raises
@@ -74,14 +74,14 @@ class Sources:
         if self.preferred in ("", topic):
             return
         for axis in axes:
-            if any(each.topic == self.preferred for each in self._active(axis, axis in following)):
+            if any(each.topic == self.preferred for each in self._active(axis, follows)):
                 stop = _STOP.get(self.preferred, "stop it")
                 raise Rejected(
                     f"{topic}: {self.preferred} commands {joints[axis]} and has precedence (parameter "
                     f"preferred_source); {stop} and wait {FRESH:g} s"
                 )
 
-    def claim(self, source: Source, axes: Iterable[int], joints: Sequence[str], following: Collection[int]) -> None:
+    def claim(self, source: Source, axes: Iterable[int], joints: Sequence[str], follows: Callable[[int], bool]) -> None:
         """Register a command of some axes.
 
         Parameters
@@ -92,12 +92,12 @@ class Sources:
             The axes.
         joints : sequence of str
             Names of all joints.
-        following : collection of int
-            Axes that follow a trajectory; the last source of each stays active until its end.
+        follows : callable
+            Whether an axis follows a trajectory; its last source stays active until the end.
         """
         now = self._clock()
         for axis in axes:
-            sources = self._active(axis, axis in following)
+            sources = self._active(axis, follows)
             last = next(reversed(sources), source)
             # A change of the source is no conflict; a source that returns while active is.
             if last != source and source in sources:
@@ -119,7 +119,10 @@ class Sources:
         """Register that an axis has been stopped otherwise: a source must be admitted again."""
         self._holders.pop(axis, None)
 
-    def _active(self, axis: int, following: bool) -> dict[Source, float]:
+    def _active(self, axis: int, follows: Callable[[int], bool]) -> dict[Source, float]:
         now, seen = self._clock(), self._seen.get(axis, {})
-        last = next(reversed(seen), None) if following else None
-        return {each: when for each, when in seen.items() if each == last or now - when < FRESH}
+        active = {each: when for each, when in seen.items() if now - when < FRESH}
+        if seen and not active and follows(axis):
+            last = next(reversed(seen))
+            active[last] = seen[last]
+        return active

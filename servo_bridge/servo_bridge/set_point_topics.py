@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from servo_msgs_py.runtime.qos import command_qos
 from std_msgs.msg import Float64, Float64MultiArray
@@ -24,21 +25,17 @@ class SetPointTopics:
 
     def __init__(self, context: CommandContext) -> None:
         self._context = context
-        node, qos = context.node, command_qos()
-        node.create_subscription(Float64MultiArray, topics.COMMANDS, self._on_commands, qos)
-        for axis, joint in enumerate(context.joints):
+        node, qos, joints = context.node, command_qos(), context.joints
+        both = partial(self._take, topics.COMMANDS, partial(from_array, topics.COMMANDS, joints))
+        node.create_subscription(Float64MultiArray, topics.COMMANDS, both, qos)
+        for axis, joint in enumerate(joints):
             topic = topics.joint_position_topic(joint)
-            node.create_subscription(Float64, topic, partial(self._on_position, topic, axis), qos)
+            one = partial(self._take, topic, partial(from_single, topic, axis))
+            node.create_subscription(Float64, topic, one, qos)
 
-    def _on_commands(self, message: Float64MultiArray) -> None:
-        self._take(topics.COMMANDS, lambda: from_array(topics.COMMANDS, self._context.joints, message.data))
-
-    def _on_position(self, topic: str, axis: int, message: Float64) -> None:
-        self._take(topic, lambda: from_single(topic, axis, message.data))
-
-    def _take(self, source: str, parse: Callable[[], SetPointRequest]) -> None:
+    def _take(self, source: str, parse: Callable[[Any], SetPointRequest], message: Float64 | Float64MultiArray) -> None:
         try:
-            self._context.arbiter.submit(parse())
+            self._context.arbiter.submit(parse(message.data))
         except Rejected as error:
             self._context.reject(source, error)
         else:

@@ -131,9 +131,9 @@ def from_joint_command(
 def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[SetPointRequest]:
     """Requests of the joints without streaming, one per mode."""
     result = []
+    single = {axis: point for axis, point in points.items() if not point.streamed}
     for field, mode in _FIELDS.items():
-        values = {axis: getattr(point, field) for axis, point in points.items() if not point.streamed}
-        values = {axis: value for axis, value in values.items() if value is not None}
+        values = {axis: value for axis, point in single.items() if (value := getattr(point, field)) is not None}
         if values:
             result.append(SetPointRequest(source, mode, values))
     return result
