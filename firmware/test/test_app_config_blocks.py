@@ -51,7 +51,7 @@ def refusal(bench: BlockBench) -> int:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_board_begins_with_what_the_tuning_code_computes(bench: BlockBench, axis: int) -> None:
-    assert read_block(bench, axis) == block_of(tuned_axis(axis + 1).constants, "axis")
+    assert read_block(bench, axis) == block_of(tuned_axis(axis + 1).constants)
 
 
 def test_the_table_has_every_member_of_the_structure_once(core: Core) -> None:

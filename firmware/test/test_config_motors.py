@@ -169,8 +169,8 @@ def test_most_motors_can_be_tuned() -> None:
     reasons = [outcome for outcome in outcomes if isinstance(outcome, str)]
     assert len(reasons) <= 80, reasons
     kinds = (
-        "does not fit gain_t",
-        "does not fit omega_n Ts",
+        "does not fit speed.",
+        "does not fit path_omega_n_ts",
         "no-load speed",
         "reluctance of this rotor",
         "a dead time",

@@ -200,10 +200,10 @@ TOGETHER = [
     case("axis1.observer.k_1 = -5000", "observer.k_2 is missing"),
     case("axis1.observer.k_1 = -5200", "400 Hz specifies the same", **K, axis1__observer__bandwidth=400.0),
     # gains and scales out of range
-    case("axis1: speed controller Kp = 2", "does not fit gain_t", axis1__motor__inertia=4e-4),
+    case("axis1: speed controller Kp = 2", "does not fit speed.kp (0 .. 127)", axis1__motor__inertia=4e-4),
     case(
         "axis1: current controller q Kp = 214.",
-        "does not fit gain_t",
+        "does not fit current_loop.q.kp",
         axis1__motor__l_q=0.1,
         axis1__rotor_search__current=0.07,
     ),
@@ -217,7 +217,7 @@ TOGETHER = [
         axis1__rotor_search__interval=4.0,
         axis1__observer__bandwidth=1500.0,
     ),
-    case("axis1: current controller d Kp Ki Ts = 133.", "gain_t", axis1__motor__r_s=1000.0),
+    case("axis1: current controller d Kp Ki Ts = 133.", "current_loop.d.ki", axis1__motor__r_s=1000.0),
     case("axis1.control.position_gain = 1e-05", "vanish"),
     case(
         "axis1: slope of sensing.sign_current",
@@ -225,9 +225,9 @@ TOGETHER = [
         axis1__sensing__sign_current=0.06,
         board__dead_time=1e-8,
     ),
-    case("axis1: omega_n Ts", "E40", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
-    case("board.timer_clock: speed per count and clock", "32 bits", board__timer_clock=1.1e7),
-    case("axis1.rotor_search.ramp_time: current", "frac32_t", axis1__rotor_search__ramp_time=1e-4),
+    case("axis1: omega_n Ts", "path_omega_n_ts", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
+    case("board.timer_clock: speed per count and clock", "mt_speed.speed_per_ratio", board__timer_clock=1.1e7),
+    case("axis1.rotor_search.ramp_time: current", "rotor_search.current_step", axis1__rotor_search__ramp_time=1e-4),
     # times
     case("axis1.timing.stall_max = 32.7675", "65534"),
     case("axis1.timing.stall_max = 40", "write 32.7 or less"),
@@ -310,7 +310,7 @@ OPTIONAL: dict[str, list[tuple[str, str, dict[str, object]]]] = {
         case("axis1.control.observer_bandwidth = 1000", "not within"),
     ],
     "axis1__features__friction": [
-        case("axis1.friction.smooth", "does not fit int32_t", axis1__friction__smooth=0.01),
+        case("axis1.friction.smooth", "does not fit friction.slope", axis1__friction__smooth=0.01),
     ],
     "axis1__features__over_speed": [
         case("axis1.limits.over_speed = 314", "314 rad/s"),

@@ -23,20 +23,13 @@ class AxisConfigError(ValueError):
     """A malformed table or block; the message contains the member."""
 
 
-class MemberRangeError(AxisConfigError):
-    """A member is out of range."""
-
-    def __init__(self, text: str, path: str) -> None:
-        super().__init__(text)
-        self.path = path  # of the member
-
-
 @dataclass(frozen=True, kw_only=True)
 class Member(Quantity):
     """One number of a block; its name is the C path below ``axis_config_t``."""
 
     bits: bool  # whether it is a set of flags; the largest raw number has all permitted bits set
     live: bool  # whether it may be changed during motion
+    fraction_bits: int  # bits after the binary point of the fraction of its full scale
 
     def accepts(self, raw: int) -> bool:
         """Whether the board accepts a raw number."""
@@ -102,21 +95,11 @@ class AxisConfigTable:
         for path in self.members:
             if path not in block:
                 raise AxisConfigError(f"{path} is missing")
-        self.check_part(block)
-
-    def check_part(self, part: Mapping[str, int]) -> None:
-        """Check that the board accepts these members.
-
-        Raises
-        ------
-        AxisConfigError
-            If a member is out of range; the message contains the first one.
-        """
         for path, member in self.members.items():
-            if path in part and not member.accepts(part[path]):
+            if not member.accepts(block[path]):
                 span = f"{member.minimum:g} .. {member.maximum:g} {member.unit}".rstrip()
                 allowed = f"bits of {member.raw_range[1]:#x}" if member.bits else span
-                raise MemberRangeError(f"{path} = {member.shown(part[path])}: allowed: {allowed}", path)
+                raise AxisConfigError(f"{path} = {member.shown(block[path])}: allowed: {allowed}")
 
     def words(self, block: Mapping[str, int]) -> list[int]:
         """Raw numbers in the order of the table.
@@ -232,6 +215,7 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
         lsb=lsb,
         bits="answer" in entry,
         live=entry.get("live", False),
+        fraction_bits=entry.get("bits", 0),
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from servo_tuning.configuration import PINS, Axis, Configuration
-from servo_tuning.conversion import Category, Converter, FaultSet, Field
+from servo_tuning.conversion import Category, Converter, FaultSet, Value
 from servo_tuning.errors import ConfigError, checking, either, lower
 from servo_tuning.formats import FRAC16, FRAC32, GAIN
 
@@ -35,7 +35,7 @@ def regeneration_speed(axis: Axis) -> float:
     return axis("limits.current") * axis("motor.r_s") / (axis("motor.pole_pairs") * axis("motor.psi_m"))
 
 
-def stop_constants(to: Converter) -> dict[str, Field]:
+def stop_constants(to: Converter) -> dict[str, Value]:
     """Fields of ``axis_config_t`` for braking and stopping."""
     axis, s, stops = to.axis, to.s, to.axis.stops
     names = {"shorted": "short", "ramp": "ramp", "hold": "hold"}
@@ -43,18 +43,16 @@ def stop_constants(to: Converter) -> dict[str, Field]:
     return {
         **{f"stop.{command}": Category(category) for command, category in stops.commands.items()},
         **{f"stop.{field}": FaultSet(stops.faults_with(category)) for field, category in names.items()},
-        "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, maximum), _MOTOR),
-        "stop.short_current": to.at(FRAC16, "stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
+        "stop.short_speed": to.of("speed of the short", min(short_speed(axis) / s.speed, maximum), _MOTOR),
+        "stop.short_current": to.at("stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
         "stop.ticks_max": to.ticks("stop.time_max"),
         "stop.hold_ticks": to.ticks("stop.hold_time"),
-        "regeneration_speed": to.of(
-            FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, maximum), _MOTOR
-        ),
-        "copper_current": to.at(FRAC16, "stop.copper_use", axis("limits.current") / s.i),
+        "regeneration_speed": to.of("speed of regeneration", min(regeneration_speed(axis) / s.speed, maximum), _MOTOR),
+        "copper_current": to.at("stop.copper_use", axis("limits.current") / s.i),
     }
 
 
-def pin_constants(to: Converter) -> dict[str, Field]:
+def pin_constants(to: Converter) -> dict[str, Value]:
     """Fields of ``axis_config_t`` for the fitted pins and the times of the holding brake."""
     return {
         "pins.fitted": sum(to.axis.pins[pin] << bit for bit, pin in enumerate(PINS)),

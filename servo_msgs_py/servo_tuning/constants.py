@@ -7,27 +7,16 @@ from typing import Final
 
 from servo_tuning.braking import pin_constants, stop_constants
 from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration
-from servo_tuning.conversion import TICKS, AxisConstants, Converter, Field, Switches, pi_raw
-from servo_tuning.errors import either, lower
+from servo_tuning.conversion import AxisConstants, Converter, Fraction, Switches, Value, rounded
+from servo_tuning.errors import Remedy, either, lower
 from servo_tuning.field_weakening import field_weakening_constants
-from servo_tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, fixed_point
+from servo_tuning.formats import FRAC16, UINT16, fixed_point
 from servo_tuning.gains import Gains
 from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.winding import winding_constants
 
-ANGLE32: Final = fixed_point("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
-COUNTS: Final = fixed_point("int32_t counts", 0, 1, 2**30)
-PATH_OMEGA: Final = fixed_point("omega_n Ts of DRM E40", 16, 1, 2**14)
-"""At most a quarter: above it the difference equations of E40 deviate from the filter."""
-OBSERVER: Final = fixed_point("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
-RECIPROCAL: Final = fixed_point("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
-FLUX: Final = fixed_point("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
 PI_SUM: Final = fixed_point("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
 """pi_sum_t holds +-256: the sum of these gains, each times a fraction, and the integral part."""
-SEARCH_TURN: Final = fixed_point("an eighth of a turn", 0, 1, 2**13)
-TURN_STEP: Final = fixed_point("an eighth of a turn per slow tick", 16, 1, 2**13)
-TURN_TICKS: Final = fixed_point("uint16_t slow ticks", 0, 1, 2**15 - 1)
-SEARCH_ANGLE: Final = fixed_point("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
 
 SIGN_FACTOR: Final = 1.25
 """Least current with a certain direction, over the change of the current during a dead time."""
@@ -50,45 +39,50 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         If a value does not fit its format, or is rounded to 0.
     """
     to = Converter(axis, configuration.board, configuration.scales)
-    return {
-        **_current_loop(to, gains),
-        **_sensing(to),
-        **_motion(to, gains),
-        **_acceleration_forward(to),
-        **_limits(to),
-        **_supervision(to),
-        **_monitor_constants(to),
-        **winding_constants(to),
-        **stop_constants(to),
-        **field_weakening_constants(to),
-        **_home(to),
-        **pin_constants(to),
-    }
+    return rounded(
+        {
+            **_current_loop(to, gains),
+            **_sensing(to),
+            **_motion(to, gains),
+            **_acceleration_forward(to),
+            **_limits(to),
+            **_supervision(to),
+            **_monitor_constants(to),
+            **winding_constants(to),
+            **stop_constants(to),
+            **field_weakening_constants(to),
+            **_home(to),
+            **pin_constants(to),
+        }
+    )
 
 
-def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
+def _sum(to: Converter, name: str, value: float, *remedies: Remedy | str) -> None:
+    """Refuse a sum of gains that the sum of a PI controller cannot hold."""
+    PI_SUM.raw(f"{to.axis.name}: {name}", value, *map(to.axis.named, remedies))
+
+
+def _current_loop(to: Converter, gains: Gains) -> dict[str, Value]:
     axis, board, s = to.axis, to.board, to.s
     omega_e = axis("motor.pole_pairs") * s.speed
     admittance = s.i / s.u_s
     slower = _SLOWER_CURRENT, "correct motor.r_s, motor.l_d or motor.l_q"
-    drop = to.board_at(FRAC16, "switch_drop", 1.0 / s.u_dc)
-    use = to.board_at(FRAC16, "voltage_use", math.sqrt(0.75))
+    drop = to.board_at("switch_drop", 1.0 / s.u_dc)
+    use = to.board_at("voltage_use", math.sqrt(0.75))
     coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
-    duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period)
-    step = to.of(GAIN, "angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
-    to.of(PI_SUM, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, *slower)
+    duty = to.board_at("dead_time", 1.0 / board.period)
+    step = to.of("angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
+    _sum(to, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, *slower)
     emf = omega_e * axis("motor.psi_m") / s.u_s
     u_q = (gains.current_q.kp + omega_e * axis("motor.l_d")) * admittance + emf
-    to.of(PI_SUM, "gains added in u_q", u_q, *slower)
-    sign = to.of(
-        INT16_Q8, "slope of sensing.sign_current", s.i / sign_current(axis, board), either("sensing.sign_current")
-    )
+    _sum(to, "gains added in u_q", u_q, *slower)
+    sign = to.of("slope of sensing.sign_current", s.i / sign_current(axis, board), either("sensing.sign_current"))
     return {
-        "current_loop.d": pi_raw(axis, "current controller d", gains.current_d, admittance, *slower),
-        "current_loop.q": pi_raw(axis, "current controller q", gains.current_q, admittance, *slower),
-        "current_loop.omega_l_d": to.of(GAIN, "decoupling d", omega_e * axis("motor.l_d") * admittance, coupling),
-        "current_loop.omega_l_q": to.of(GAIN, "decoupling q", omega_e * axis("motor.l_q") * admittance, coupling),
-        "current_loop.omega_psi": to.of(GAIN, "back-EMF", emf, flux),
+        "current_loop.d": to.pi("current_loop.d", "current controller d", gains.current_d, admittance, *slower),
+        "current_loop.q": to.pi("current_loop.q", "current controller q", gains.current_q, admittance, *slower),
+        "current_loop.omega_l_d": to.of("decoupling d", omega_e * axis("motor.l_d") * admittance, coupling),
+        "current_loop.omega_l_q": to.of("decoupling q", omega_e * axis("motor.l_q") * admittance, coupling),
+        "current_loop.omega_psi": to.of("back-EMF", emf, flux),
         "current_loop.angle_step": step,
         "current_loop.dead_time.duty": duty,
         "current_loop.dead_time.v_drop": drop,
@@ -97,12 +91,10 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
     }
 
 
-def _sensing(to: Converter) -> dict[str, Field]:
+def _sensing(to: Converter) -> dict[str, Value]:
     axis, board, s = to.axis, to.board, to.s
     p, counts = axis("motor.pole_pairs"), axis.counts
     steps = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
-    # the firmware multiplies the ratio by up to half a turn of counts, in 32 bits
-    ratio = fixed_point("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
     per_rad = counts / (2.0 * math.pi)
     torque = (
         axis.torque_constant * s.i / axis("motor.inertia") * board.tick**2 * per_rad
@@ -111,40 +103,38 @@ def _sensing(to: Converter) -> dict[str, Field]:
     search, found = "rotor_search", RotorSearch.of(axis, board)
     return {
         "feedback": FEEDBACKS.index(axis.feedback),
-        "encoder.counts": to.at(UINT16, "encoder.lines", 4.0),
-        "encoder.pole_pairs": to.at(UINT16, "motor.pole_pairs", 1.0),
-        "encoder.angle_per_count": to.of(ANGLE32, "angle per count", 1.0 / counts, _LINES),
-        "speed_observer.speed_per_step": to.of(RECIPROCAL, "speed per step", 1.0 / steps, _LINES),
-        "speed_observer.step_per_speed": to.of(INT32_Q16, "step per speed", steps, _LINES),
-        "speed_observer.acceleration_per_current": to.of(OBSERVER, "acceleration of the observer", torque, _HOLD),
-        "mt_speed.speed_per_ratio": ratio.raw(
-            "board.timer_clock: speed per count and clock", per_ratio, either("board.timer_clock")
+        "encoder.counts": to.at("encoder.lines", 4.0),
+        "encoder.pole_pairs": to.at("motor.pole_pairs", 1.0),
+        "encoder.angle_per_count": to.of("angle per count", 2.0**32 / counts, _LINES),
+        "speed_observer.speed_per_step": to.of("speed per step", 1.0 / steps, _LINES),
+        "speed_observer.step_per_speed": to.of("step per speed", steps, _LINES),
+        "speed_observer.acceleration_per_current": to.of("acceleration of the observer", torque, _HOLD),
+        "mt_speed.speed_per_ratio": Fraction(
+            "board.timer_clock: speed per count and clock", per_ratio, (either("board.timer_clock"),)
         ),
-        f"{search}.current_step": FRAC32.raw(
+        f"{search}.current_step": Fraction(
             axis.entry("rotor_search.ramp_time") + ": current per slow tick",
             axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
-            axis.named(either("rotor_search.ramp_time")),
+            (axis.named(either("rotor_search.ramp_time")),),
         ),
         f"{search}.current_slew": to.of(
-            FRAC32,
             "change of the search current per slow tick",
             min(_search_slew(axis, board) / s.i, 0.5),  # larger than any search needs
             _SLOWER_CURRENT,
         ),
-        f"{search}.current_limit": to.at(FRAC16, "rotor_search.current", 1.0 / s.i),
-        f"{search}.hold_ticks": to.of(TICKS, "slow ticks of the hold", found.hold / board.tick, _SWING),
+        f"{search}.current_limit": to.at("rotor_search.current", 1.0 / s.i),
+        f"{search}.hold_ticks": to.of("slow ticks of the hold", found.hold / board.tick, _SWING),
         f"{search}.rest_ticks": to.ticks("rotor_search.rest_time"),
-        f"{search}.move_counts": to.at(UINT16, "rotor_search.move_counts", 1.0),
-        f"{search}.verify_angle": to.at(SEARCH_TURN, "rotor_search.verify_angle", 65536.0 / 360.0),
+        f"{search}.move_counts": to.at("rotor_search.move_counts", 1.0),
+        f"{search}.verify_angle": to.at("rotor_search.verify_angle", 65536.0 / 360.0),
         f"{search}.verify_step": to.of(
-            TURN_STEP,
             "rotation of the vector per slow tick in the verification",
-            axis("rotor_search.verify_angle") / 360.0 * board.tick / found.verify,
+            65536.0 * axis("rotor_search.verify_angle") / 360.0 * board.tick / found.verify,
             either("rotor_search.verify_time"),
         ),
-        f"{search}.angle_per_count": to.of(INT32_Q16, "search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
+        f"{search}.angle_per_count": to.of("search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
         f"{search}.interval": to.of(
-            SEARCH_ANGLE, "interval of the search", found.interval / 360.0, "fewer motor.pole_pairs"
+            "interval of the search", 65536.0 * found.interval / 360.0, "fewer motor.pole_pairs"
         ),
         **_follow(to),
     }
@@ -157,7 +147,7 @@ def _search_slew(axis: Axis, board: Board) -> float:
     return 0.5 * voltage / (2.0 * math.pi * axis("control.current_bandwidth") * inductance)
 
 
-def _follow(to: Converter) -> dict[str, Field]:
+def _follow(to: Converter) -> dict[str, Value]:
     """Rotation of the vector that distinguishes a blocked shaft from an encoder that does not count."""
     axis, board, s = to.axis, to.board, to.s
     turn, time = math.radians(axis("rotor_search.turn_angle")), axis("rotor_search.turn_time")
@@ -167,18 +157,18 @@ def _follow(to: Converter) -> dict[str, Field]:
     slower = either("rotor_search.turn_time")
     follow = "rotor_search.follow"
     return {
-        f"{follow}.ticks": to.of(TURN_TICKS, "slow ticks of rotor_search.turn_time", time / board.tick, slower),
+        f"{follow}.ticks": to.of("slow ticks of rotor_search.turn_time", time / board.tick, slower),
         f"{follow}.step": to.of(
-            TURN_STEP, "rotation of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
+            "rotation of the vector per slow tick", 65536.0 * turn * board.tick / time / 2 / math.pi, slower
         ),
         f"{follow}.inductive": to.of(
-            FRAC16, "inductive voltage of the rotating vector", inductive if inductive > FRAC16.lsb else 0.0, slower
+            "inductive voltage of the rotating vector", inductive if inductive > FRAC16.lsb else 0.0, slower
         ),
-        f"{follow}.flux_min": to.of(FLUX, "flux of a following rotor", flux, "correct motor.psi_m"),
+        f"{follow}.flux_min": to.of("flux of a following rotor", 2.0**15 * flux, "correct motor.psi_m"),
     }
 
 
-def speed_observer_constants(to: Converter) -> dict[str, Field]:
+def speed_observer_constants(to: Converter) -> dict[str, Value]:
     """Gains of a fading-memory filter: the three poles of the observer error are equal.
 
     Raises
@@ -194,26 +184,26 @@ def speed_observer_constants(to: Converter) -> dict[str, Field]:
     p = math.exp(-2.0 * math.pi * axis("control.observer_bandwidth") * tick)
     slower = either("control.observer_bandwidth")
     return {
-        "speed_observer.l_position": to.of(GAIN, "observer, position", 1.0 - p**3, slower),
-        "speed_observer.l_speed": to.of(GAIN, "observer, speed", 1.5 * (1.0 - p) ** 2 * (1.0 + p), slower),
-        "speed_observer.l_acceleration": to.of(GAIN, "observer, acceleration", (1.0 - p) ** 3, slower),
+        "speed_observer.l_position": to.of("observer, position", 1.0 - p**3, slower),
+        "speed_observer.l_speed": to.of("observer, speed", 1.5 * (1.0 - p) ** 2 * (1.0 + p), slower),
+        "speed_observer.l_acceleration": to.of("observer, acceleration", (1.0 - p) ** 3, slower),
     }
 
 
-def _motion(to: Converter, gains: Gains) -> dict[str, Field]:
-    axis, board, s, counts = to.axis, to.board, to.s, to.axis.counts
+def _motion(to: Converter, gains: Gains) -> dict[str, Value]:
+    board, s, counts = to.board, to.s, to.axis.counts
     step = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
     path = either("control.path_current_use"), either("limits.current"), "correct motor.inertia or motor.psi_m"
     return {
-        "speed": pi_raw(axis, "speed controller", gains.speed, s.speed / s.i, *_SLOWER),
-        "position_gain": to.at(FRAC32, "control.position_gain", 2.0 * math.pi / counts / s.speed),
-        "path_omega_n_ts": to.of(PATH_OMEGA, "omega_n Ts of the path", gains.path_omega_n * board.tick, *path),
-        "path_step_per_speed": to.of(INT32_Q16, "path step", step, _LINES),
-        "speed_per_path_step": to.of(RECIPROCAL, "speed per path step", 1.0 / step, _LINES),
+        "speed": to.pi("speed", "speed controller", gains.speed, s.speed / s.i, *_SLOWER),
+        "position_gain": to.at("control.position_gain", 2.0 * math.pi / counts / s.speed),
+        "path_omega_n_ts": to.of("omega_n Ts of the path", gains.path_omega_n * board.tick, *path),
+        "path_step_per_speed": to.of("path step", step, _LINES),
+        "speed_per_path_step": to.of("speed per path step", 1.0 / step, _LINES),
     }
 
 
-def friction_constants(to: Converter) -> dict[str, Field]:
+def friction_constants(to: Converter) -> dict[str, Value]:
     """Feed-forward of the current against friction.
 
     Raises
@@ -224,44 +214,44 @@ def friction_constants(to: Converter) -> dict[str, Field]:
     axis, s = to.axis, to.s
     k_t, smooth = axis.torque_constant, axis("friction.smooth")
     return {
-        "friction.coulomb": to.at(FRAC32, "friction.coulomb", 1.0 / k_t / s.i),
-        "friction.viscous": to.at(GAIN, "friction.viscous", s.speed / k_t / s.i),
-        "friction.smooth": to.at(FRAC32, "friction.smooth", 1.0 / s.speed),
-        "friction.slope": INT32_Q16.raw(
-            axis.entry("friction.smooth") + ": slope", s.speed / smooth, axis.named(either("friction.smooth"))
+        "friction.coulomb": to.at("friction.coulomb", 1.0 / k_t / s.i),
+        "friction.viscous": to.at("friction.viscous", s.speed / k_t / s.i),
+        "friction.smooth": to.at("friction.smooth", 1.0 / s.speed),
+        "friction.slope": Fraction(
+            axis.entry("friction.smooth") + ": slope", s.speed / smooth, (axis.named(either("friction.smooth")),)
         ),
     }
 
 
-def _acceleration_forward(to: Converter) -> dict[str, Field]:
+def _acceleration_forward(to: Converter) -> dict[str, Value]:
     inertia = to.axis("motor.inertia") / to.axis.torque_constant * to.s.speed / to.board.tick / to.s.i
-    return {"acceleration_forward": to.of(INT32_Q16, "current for the acceleration", inertia, _HOLD)}
+    return {"acceleration_forward": to.of("current for the acceleration", inertia, _HOLD)}
 
 
-def _limits(to: Converter) -> dict[str, Field]:
+def _limits(to: Converter) -> dict[str, Value]:
     axis, board, s = to.axis, to.board, to.s
     per_rad = axis.counts / (2.0 * math.pi)
 
-    def volts(key: str) -> int:
-        return to.board_at(FRAC16, key, 1.0 / s.u_dc)
+    def volts(key: str) -> Fraction:
+        return to.board_at(key, 1.0 / s.u_dc)
 
-    k_t = FRAC16.raw(f"{axis.name}: torque constant", axis.torque_constant / s.torque_constant, _HOLD)
+    k_t = to.of("torque constant", axis.torque_constant / s.torque_constant, _HOLD)
     return {
         "torque_constant": k_t,
-        "i_q_limit": to.at(FRAC16, "limits.current", 1.0 / s.i),
-        "speed_limit": to.at(FRAC32, "limits.speed", 1.0 / s.speed),
-        "acceleration_limit": to.at(FRAC32, "limits.acceleration", board.tick / s.speed),
+        "i_q_limit": to.at("limits.current", 1.0 / s.i),
+        "speed_limit": to.at("limits.speed", 1.0 / s.speed),
+        "acceleration_limit": to.at("limits.acceleration", board.tick / s.speed),
         "features": Switches(key for key, on in axis.features.items() if on),
-        "position_limit": to.at(COUNTS, "limits.position", per_rad),
-        "following_error": to.at(COUNTS, "limits.following_error", per_rad),
-        "over_speed": to.at(FRAC32, "limits.over_speed", 1.0 / s.speed),
+        "position_limit": to.at("limits.position", per_rad),
+        "following_error": to.at("limits.following_error", per_rad),
+        "over_speed": to.at("limits.over_speed", 1.0 / s.speed),
         "u_dc_nominal": volts("nominal_voltage"),
         "u_dc_max": volts("over_voltage"),
         "u_dc_min": volts("under_voltage"),
     }
 
 
-def _supervision(to: Converter) -> dict[str, Field]:
+def _supervision(to: Converter) -> dict[str, Value]:
     s = to.s
     times = {
         "shaft.following_ticks_max": "timing.following_max",
@@ -273,25 +263,25 @@ def _supervision(to: Converter) -> dict[str, Field]:
         "stop_ticks_max": "timing.stop_max",
     }
     return {
-        "offset_tolerance": to.at(UINT16, "sensing.offset_tolerance", 1.0),
-        "offset_duty_min": to.at(FRAC16, "sensing.offset_duty", 1.0),
-        "shaft.runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
-        "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
+        "offset_tolerance": to.at("sensing.offset_tolerance", 1.0),
+        "offset_duty_min": to.at("sensing.offset_duty", 1.0),
+        "shaft.runaway_margin": to.at("timing.runaway_margin", 1.0 / s.speed),
+        "stop_speed": to.at("timing.stop_speed", 1.0 / s.speed),
         "search_ticks_max": to.of(
-            TICKS, "slow ticks of the search", RotorSearch.of(to.axis, to.board).time_max / to.board.tick, _SWING
+            "slow ticks of the search", RotorSearch.of(to.axis, to.board).time_max / to.board.tick, _SWING
         ),
         **{field: to.ticks(path) for field, path in times.items()},
     }
 
 
-def _home(to: Converter) -> dict[str, Field]:
+def _home(to: Converter) -> dict[str, Value]:
     per_rad = to.axis.counts / (2.0 * math.pi)
     counts = {"home.back_off": "home.back_off", "home.spread_max": "home.spread", "home.reach": "home.reach"}
     return {
-        "home.speed": to.at(FRAC16, "home.speed", 1.0 / to.s.speed),
-        "home.current": to.at(FRAC16, "home.current", 1.0 / to.s.i),
-        "home.turns_max": to.at(UINT16, "home.turns_max", 1.0),
-        **{field: to.at(UINT16, path, per_rad) for field, path in counts.items()},
+        "home.speed": to.at("home.speed", 1.0 / to.s.speed),
+        "home.current": to.at("home.current", 1.0 / to.s.i),
+        "home.turns_max": to.at("home.turns_max", 1.0),
+        **{field: to.at(path, per_rad) for field, path in counts.items()},
     }
 
 
@@ -306,7 +296,7 @@ def sign_current(axis: Axis, board: Board) -> float:
     return max(axis("sensing.sign_current"), least)
 
 
-def _monitor_constants(to: Converter) -> dict[str, Field]:
+def _monitor_constants(to: Converter) -> dict[str, Value]:
     """Thresholds of the monitors of phases, current sensing, encoder and heat sink."""
     axis, board, s = to.axis, to.board, to.s
     sign = sign_current(axis, board) / s.i
@@ -317,15 +307,15 @@ def _monitor_constants(to: Converter) -> dict[str, Field]:
     inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
     return {
         "winding.current_min": to.of(
-            FRAC16, "current of a silent phase, twice sensing.sign_current", 2.0 * sign, either("sensing.sign_current")
+            "current of a silent phase, twice sensing.sign_current", 2.0 * sign, either("sensing.sign_current")
         ),
         "winding.direction_current_min": to.of(
-            FRAC16, "smallest current with a direction", sign, either("sensing.sign_current")
+            "smallest current with a direction", sign, either("sensing.sign_current")
         ),
-        "winding.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
-        "winding.inductance": to.of(GAIN, "inductive voltage", inductance, "correct motor.l_q"),
-        "winding.rotation_per_voltage": to.of(INT32_Q16, "rotation per back-EMF", turn, "correct motor.psi_m"),
-        "winding.emf_floor": to.of(FRAC16, "unexplained voltage", floor, lower("board.switch_drop")),
+        "winding.resistance": to.of("voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
+        "winding.inductance": to.of("inductive voltage", inductance, "correct motor.l_q"),
+        "winding.rotation_per_voltage": to.of("rotation per back-EMF", turn, "correct motor.psi_m"),
+        "winding.emf_floor": to.of("unexplained voltage", floor, lower("board.switch_drop")),
         "heat.hot": hot,
         "heat.cool": cool,
     }

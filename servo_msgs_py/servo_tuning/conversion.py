@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from servo_tuning.configuration import Axis, Board, Scales
 from servo_tuning.errors import Remedy, higher, lower
-from servo_tuning.formats import GAIN, FixedPoint, fixed_point
+from servo_tuning.formats import member_format
 from servo_tuning.gains import Pi
-
-TICKS: Final = fixed_point("uint16_t slow ticks", 0, 0, 2**16 - 2)
-"""The 16-bit counter must be able to count beyond the largest value."""
 
 
 class PiRaw(NamedTuple):
@@ -40,19 +37,42 @@ AxisConstants = Mapping[str, Field]
 """C path of every field of ``axis_config_t`` with its value."""
 
 
-def pi_raw(axis: Axis, name: str, gains: Pi, scale: float, *remedies: Remedy | str) -> PiRaw:
-    """Raw gains of a PI controller; `scale` converts SI gains to full scale per full scale."""
-    entry, changes = f"{axis.name}: {name}", [axis.named(remedy) for remedy in remedies]
-    return PiRaw(
-        GAIN.raw(f"{entry} Kp", gains.kp * scale, *changes),
-        GAIN.raw(f"{entry} Kp Ki Ts", gains.ki * scale, *changes),
-        GAIN.raw(f"{entry} Kc", gains.kc, axis.named(higher("control.anti_windup"))),
-    )
+@dataclass(frozen=True)
+class Fraction:
+    """Value of a member before it is rounded to an integer."""
+
+    entry: str  # full name of the entry, or of the quantity computed from several entries; for the refusal
+    value: float  # as a fraction of full scale, or in raw units
+    remedies: tuple[Remedy | str, ...] = ()  # for the refusal; of an entry: to lower it, and to raise it
+    given: float | None = None  # of an entry that `value` is proportional to: its value in the configuration
+
+    def raw(self, path: str) -> int:
+        """Integer of the member `path`.
+
+        Raises
+        ------
+        ConfigError
+            If the member cannot have this value.
+        """
+        format_ = member_format(path)
+        remedies = self.remedies
+        if self.given is not None:
+            remedies = remedies[:1] if abs(self.value) > format_.maximum else remedies[1:]
+        return format_.raw(self.entry, self.value, *remedies, given=self.given)
 
 
-def _towards(format_: FixedPoint, entry: str, value: float) -> Remedy:
-    """Remedy of a number that is proportional to an entry."""
-    return lower(entry) if abs(value) > format_.maximum else higher(entry)
+Value = Field | Fraction
+
+
+def rounded(values: Mapping[str, Value]) -> dict[str, Field]:
+    """Integers of fields by path.
+
+    Raises
+    ------
+    ConfigError
+        If a member cannot have its value.
+    """
+    return {path: value.raw(path) if isinstance(value, Fraction) else value for path, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -63,21 +83,28 @@ class Converter:
     board: Board
     s: Scales
 
-    def at(self, format_: FixedPoint, path: str, scale: float) -> int:
-        """Raw number of an entry of the axis times `scale`."""
-        value = self.axis(path) * scale
-        change = self.axis.named(_towards(format_, path, value))
-        return format_.raw(self.axis.entry(path), value, change, given=self.axis(path))
+    def at(self, path: str, scale: float) -> Fraction:
+        """Entry of the axis times `scale`."""
+        value, changes = self.axis(path), (self.axis.named(lower(path)), self.axis.named(higher(path)))
+        return Fraction(self.axis.entry(path), value * scale, changes, value)
 
-    def board_at(self, format_: FixedPoint, key: str, scale: float) -> int:
-        """Raw number of an entry of [board] times `scale`."""
-        entry, value = f"board.{key}", self.board(key) * scale
-        return format_.raw(entry, value, _towards(format_, entry, value), given=self.board(key))
+    def board_at(self, key: str, scale: float) -> Fraction:
+        """Entry of [board] times `scale`."""
+        entry, value = f"board.{key}", self.board(key)
+        return Fraction(entry, value * scale, (lower(entry), higher(entry)), value)
 
-    def ticks(self, path: str) -> int:
-        """Raw number of a time, in slow ticks."""
-        return self.at(TICKS, path, 1.0 / self.board.tick)
+    def ticks(self, path: str) -> Fraction:
+        """Time, in slow ticks."""
+        return self.at(path, 1.0 / self.board.tick)
 
-    def of(self, format_: FixedPoint, name: str, value: float, *remedies: Remedy | str) -> int:
-        """Raw number of a value that depends on several entries, in units of full scale."""
-        return format_.raw(f"{self.axis.name}: {name}", value, *map(self.axis.named, remedies))
+    def of(self, name: str, value: float, *remedies: Remedy | str) -> Fraction:
+        """Value that depends on several entries, as a fraction of full scale."""
+        return Fraction(f"{self.axis.name}: {name}", value, tuple(map(self.axis.named, remedies)))
+
+    def pi(self, path: str, name: str, gains: Pi, scale: float, *remedies: Remedy | str) -> PiRaw:
+        """Raw gains of the PI controller `path`; `scale` converts SI gains to full scale per full scale."""
+        return PiRaw(
+            self.of(f"{name} Kp", gains.kp * scale, *remedies).raw(f"{path}.kp"),
+            self.of(f"{name} Kp Ki Ts", gains.ki * scale, *remedies).raw(f"{path}.ki"),
+            self.of(f"{name} Kc", gains.kc, higher("control.anti_windup")).raw(f"{path}.kc"),
+        )

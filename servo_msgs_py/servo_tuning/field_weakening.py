@@ -11,9 +11,9 @@ import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_tuning.configuration import Axis, Board, Scales
-from servo_tuning.conversion import Converter, Field
+from servo_tuning.conversion import Converter, Value
 from servo_tuning.errors import either
-from servo_tuning.formats import FRAC16, INT16_Q8
+from servo_tuning.formats import member_format
 from servo_tuning.layout import notes, table
 
 _LARGEST: Final = ("field_weakening.current_use", "field_weakening.magnet_current")
@@ -36,7 +36,7 @@ def _voltage_per_current(axis: Axis, board: Board) -> tuple[float, float]:
     return omega * axis("motor.l_d"), axis("motor.r_s") + across * leaning
 
 
-def field_weakening_constants(to: Converter) -> dict[str, Field]:
+def field_weakening_constants(to: Converter) -> dict[str, Value]:
     """Fields of ``field_weakening_config_t``.
 
     The integral gain gives the bandwidth at the speed whose back-EMF equals the voltage limit; below it the loop is
@@ -48,12 +48,10 @@ def field_weakening_constants(to: Converter) -> dict[str, Field]:
     gain = integral / (2.0 * board.voltage_max) * s.u_s**2 / s.i
     group = "field_weakening"
     return {
-        f"{group}.margin": to.at(FRAC16, "field_weakening.margin", 1.0 / s.u_s),
-        f"{group}.gain": to.of(
-            INT16_Q8, "gain of field weakening", min(max(gain, 2.0**-8), 127.0), "correct motor.l_d"
-        ),
-        f"{group}.i_d_max": to.of(FRAC16, "largest i_d against the flux", i_d_max(axis) / s.i, *map(either, _LARGEST)),
-        f"{group}.q_share": to.of(FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _SHARE_MAX)),
+        f"{group}.margin": to.at("field_weakening.margin", 1.0 / s.u_s),
+        f"{group}.gain": to.of("gain of field weakening", min(max(gain, 2.0**-8), 127.0), "correct motor.l_d"),
+        f"{group}.i_d_max": to.of("largest i_d against the flux", i_d_max(axis) / s.i, *map(either, _LARGEST)),
+        f"{group}.q_share": to.of("i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _SHARE_MAX)),
     }
 
 
@@ -196,8 +194,14 @@ def field_weakening_loops(axis: Axis, board: Board, block: Mapping[str, int]) ->
     """
     by_d, by_q = _voltage_per_current(axis, board)
     s = Scales.of(Catalogue.load())
-    per_volt = INT16_Q8.scale(block["field_weakening.gain"]) * s.i / s.u_s**2 * 2.0 * board.voltage_max
-    q_share = FRAC16.scale(block["field_weakening.q_share"])
+    per_volt = (
+        member_format("field_weakening.gain").scale(block["field_weakening.gain"])
+        * s.i
+        / s.u_s**2
+        * 2.0
+        * board.voltage_max
+    )
+    q_share = member_format("field_weakening.q_share").scale(block["field_weakening.q_share"])
     limit, maximum = axis("limits.current"), i_d_max(axis)
     giving_way = maximum / math.sqrt(max(limit**2 - maximum**2, (0.01 * limit) ** 2))
     gains = {"by i_d": by_d, "by i_d on the circle": by_d + giving_way * by_q, "by i_q": q_share * by_q}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Final
 
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.quantity import Quantity
 
 from servo_tuning.errors import Remedy, refused
@@ -49,10 +51,14 @@ def fixed_point(name: str, fraction_bits: int, low: int, high: int) -> FixedPoin
     return FixedPoint(name=name, lsb=lsb, minimum=low * lsb, maximum=high * lsb)
 
 
+@cache
+def member_format(path: str) -> FixedPoint:
+    """Format and range of a member of the configuration block, as in ``axis_config.toml``."""
+    member = AxisConfigTable.load().members[path]
+    return fixed_point(path, member.fraction_bits, *member.raw_range)
+
+
 GAIN: Final = fixed_point("gain_t", 24, -(2**31), 2**31 - 1)
 FRAC16: Final = fixed_point("frac16_t", 15, -(2**15), 2**15 - 1)
 FRAC32: Final = fixed_point("frac32_t", 31, -(2**31), 2**31 - 1)
-INT16_Q8: Final = fixed_point("int16_t with 8 fraction bits", 8, -(2**15), 2**15 - 1)
 UINT16: Final = fixed_point("uint16_t", 0, 0, 2**16 - 1)
-UINT16_Q14: Final = fixed_point("uint16_t with 14 fraction bits", 14, 0, 2**16 - 1)
-INT32_Q16: Final = fixed_point("int32_t with 16 fraction bits", 16, 1, 2**31 - 1)

@@ -10,10 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from servo_tuning.block import members_of
 from servo_tuning.configuration import Axis
 from servo_tuning.constants import friction_constants, speed_observer_constants
-from servo_tuning.conversion import Converter, Field
+from servo_tuning.conversion import Converter, Field, Value, rounded
 from servo_tuning.sensorless_constants import OFF, needs_observer, sensorless_constants
 
 
@@ -23,7 +22,7 @@ class OptionalPart:
 
     needed_for: str  # what cannot be used without it, for messages
     used: Callable[[Axis], bool]  # whether an axis needs it after reset
-    constants: Callable[[Converter], dict[str, Field]]  # its fields; raises ConfigError if it cannot work
+    constants: Callable[[Converter], dict[str, Value]]  # its fields; raises ConfigError if it cannot work
     off: Mapping[str, Field]  # its fields while it is off
 
     def fields(self, to: Converter) -> dict[str, Field]:
@@ -34,9 +33,7 @@ class OptionalPart:
         ConfigError
             If the part cannot work.
         """
-        fields = self.constants(to)
-        members_of(fields, to.axis.name)
-        return fields
+        return rounded(self.constants(to))
 
 
 _OBSERVER_GAINS: Final = ("l_position", "l_speed", "l_acceleration")

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Final
 
 from servo_tuning.configuration import Axis, Board, Scales
-from servo_tuning.conversion import TICKS, Converter, Field, PiRaw, pi_raw
+from servo_tuning.conversion import Converter, Field, Fraction, PiRaw, Value
 from servo_tuning.errors import ConfigError, either
-from servo_tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, fixed_point
+from servo_tuning.formats import member_format
 from servo_tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
 from servo_tuning.sensorless_checks import check_sensorless
 from servo_tuning.sensors import AMPLITUDE_OFFSET_TIME
@@ -17,18 +17,6 @@ from servo_tuning.sensors import AMPLITUDE_OFFSET_TIME
 F2: Final = 11
 """Fraction bits of the observed back-EMF beyond 15; F1 of the observed current is at most F2."""
 F1_MIN: Final = 6
-
-LOSS: Final = fixed_point("1 - a below 1/2, 32 fraction bits", 32, 1, 2**31 - 1)
-DRIVE: Final = fixed_point("int32_t with 32 fraction bits", 32, 1, 2**31 - 1)
-K1: Final = fixed_point("-1 .. 0 with 31 fraction bits", 31, -(2**31), -1)
-K2: Final = fixed_point("int32_t with 28 fraction bits", 28, 1, 2**31 - 1)
-STEP: Final = fixed_point("half a turn per PWM period", 32, 1, 2**31 - 1)
-SPEED_PER_STEP: Final = fixed_point("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
-TURN_COUNTS: Final = fixed_point("int32_t counts with 16 fraction bits", 16, 1, 2**31 - 1)
-THRESHOLD: Final = fixed_point("uint16_t with 16 fraction bits", 16, 1, 2**16 - 1)
-PART: Final = fixed_point("uint16_t with 15 fraction bits", 15, 1, 2**16 - 1)
-SOME_TICKS: Final = fixed_point(TICKS.name, 0, 1, TICKS.raw_range[1])
-SLEW: Final = fixed_point(FRAC32.name, 31, -(2**31), 2**31 - 1)
 
 _WINDING: Final = "correct motor.r_s, motor.l_d or motor.l_q"
 _SLOWER: Final = either("observer.bandwidth")
@@ -40,7 +28,7 @@ def needs_observer(axis: Axis) -> bool:
     return axis.feedback == "observer" or axis.features.get("angle_check", False)
 
 
-def sensorless_constants(to: Converter) -> dict[str, Field]:
+def sensorless_constants(to: Converter) -> dict[str, Value]:
     """Fields of ``axis_config_t``.
 
     Raises
@@ -55,16 +43,20 @@ def sensorless_constants(to: Converter) -> dict[str, Field]:
         **_pll(to, design),
         **_reliability(to),
         **_start_up(to, design.start_up),
-        "observed_speed": pi_raw(
-            to.axis, "sensorless speed controller", design.speed, to.s.speed / to.s.i, either("observer.speed_part")
+        "observed_speed": to.pi(
+            "observed_speed",
+            "sensorless speed controller",
+            design.speed,
+            to.s.speed / to.s.i,
+            either("observer.speed_part"),
         ),
     }
 
 
-def _observer(to: Converter, observer: BackEmfObserver) -> dict[str, Field]:
+def _observer(to: Converter, observer: BackEmfObserver) -> dict[str, Value]:
     admittance = to.s.u_s / to.s.i
     loss = to.of(
-        LOSS, "R T / L of the observer", 1.0 - observer.a, f"the current decays within one sampling period: {_WINDING}"
+        "R T / L of the observer", 1.0 - observer.a, f"the current decays within one sampling period: {_WINDING}"
     )
     f1 = min(F2, math.ceil(F2 - 1 - math.log2(observer.b * admittance)) - 1)  # the largest with a factor below 1/2
     if f1 < F1_MIN:
@@ -74,13 +66,13 @@ def _observer(to: Converter, observer: BackEmfObserver) -> dict[str, Field]:
         "observer.f1": f1,
         "observer.f2": F2,
         "observer.loss": loss,
-        "observer.drive": to.of(DRIVE, "T / L of the observer", math.ldexp(observer.b * admittance, f1 - F2), _WINDING),
-        "observer.k1": to.of(K1, "observer K1 T", observer.k1, _SLOWER),
-        "observer.k2": to.of(K2, "observer K2 T", math.ldexp(observer.k2 / admittance, F2 - f1), _SLOWER),
+        "observer.drive": to.of("T / L of the observer", math.ldexp(observer.b * admittance, f1 - F2), _WINDING),
+        "observer.k1": to.of("observer K1 T", observer.k1, _SLOWER),
+        "observer.k2": to.of("observer K2 T", math.ldexp(observer.k2 / admittance, F2 - f1), _SLOWER),
     }
 
 
-def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
+def _pll(to: Converter, design: Sensorless) -> dict[str, Value]:
     axis, board, s, pll = to.axis, to.board, to.s, design.pll
     p = axis("motor.pole_pairs")
     omega_n = pll.omega_n(s.u_s / axis("motor.psi_m"))  # at a back-EMF of full scale
@@ -92,32 +84,31 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     amplitude_gain, amplitude_load_gain = pll.size_gains(board.tick)
     slower = axis.named(either("observer.pll_size"))
     return {
-        "pll.amplitude_gain": GAIN.raw(axis.entry("observer.pll_size") + ": speed", amplitude_gain * per_emf, slower),
-        "pll.amplitude_load_gain": GAIN.raw(
-            axis.entry("observer.pll_size") + ": load", amplitude_load_gain * per_emf, slower
+        "pll.amplitude_gain": Fraction(
+            axis.entry("observer.pll_size") + ": speed", amplitude_gain * per_emf, (slower,)
         ),
-        "pll.offset_gain": to.of(
-            GAIN, "back-EMF per step of the PLL", board.tick / AMPLITUDE_OFFSET_TIME / per_emf, _MOTOR
+        "pll.amplitude_load_gain": Fraction(
+            axis.entry("observer.pll_size") + ": load", amplitude_load_gain * per_emf, (slower,)
         ),
-        "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), pll_i),
-        "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), pll_i),
+        "pll.offset_gain": to.of("back-EMF per step of the PLL", board.tick / AMPLITUDE_OFFSET_TIME / per_emf, _MOTOR),
+        "pll.kp": to.of("PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), pll_i),
+        "pll.ki": to.of("PLL Ki", _pll_gain((omega_n * board.period) ** 2), pll_i),
         "pll.e_min": to.of(
-            FRAC16, "half the back-EMF at start_up.minimum_speed", e_min, either("start_up.minimum_speed"), _MOTOR
+            "half the back-EMF at start_up.minimum_speed", e_min, either("start_up.minimum_speed"), _MOTOR
         ),
-        "pll.step_max": to.of(STEP, "rotation per period, above full speed", 1.25 * turn, "fewer motor.pole_pairs"),
-        "pll.speed_per_step": to.of(SPEED_PER_STEP, "speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
-        "pll.step_per_speed": to.of(STEP, "rotation per period at full speed", turn, "fewer motor.pole_pairs"),
-        "pll.counts_per_turn": to.of(TURN_COUNTS, "counts per electrical turn", axis.counts / p, _MOTOR),
-        "pll.acceleration": STEP_GAIN.raw(
+        "pll.step_max": to.of("rotation per period, above full speed", 1.25 * 2.0**32 * turn, "fewer motor.pole_pairs"),
+        "pll.speed_per_step": to.of("speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
+        "pll.step_per_speed": to.of("rotation per period at full speed", 2.0**32 * turn, "fewer motor.pole_pairs"),
+        "pll.counts_per_turn": to.of("counts per electrical turn", axis.counts / p, _MOTOR),
+        "pll.acceleration": Fraction(
             axis.entry("observer.pll_torque") + ": change of the rotation per period in a tick",
-            acceleration,
-            axis.named(either("observer.pll_torque")),
-            "correct motor.inertia or motor.psi_m",
+            2.0**32 * acceleration,
+            (axis.named(either("observer.pll_torque")), "correct motor.inertia or motor.psi_m"),
         ),
-        "pll.load_gain": LOAD.raw(
+        "pll.load_gain": Fraction(
             axis.entry("observer.pll_load") + ": change in a tick",
             pll.load * omega_n**3 * _steps_per_acceleration(board) * board.tick,
-            axis.named(either("observer.pll_load")),
+            (axis.named(either("observer.pll_load")),),
         ),
     }
 
@@ -127,15 +118,9 @@ def _step_per_emf(axis: Axis, board: Board, s: Scales) -> float:
     return math.ldexp(s.u_s / axis("motor.psi_m") * board.period / (2.0 * math.pi), 32 - 23)
 
 
-LOAD: Final = fixed_point("int32_t", 0, 0, 2**31 - 1)
-
-
 def _steps_per_acceleration(board: Board) -> float:
     """Change of the angle per PWM period (2^32 a turn) in a slow tick, per rad/s^2."""
     return math.ldexp(board.tick * board.period / (2.0 * math.pi), 32)
-
-
-STEP_GAIN: Final = fixed_point("int32_t, 2^32 a turn", 32, 0, 2**31 - 1)
 
 
 def _pll_gain(radians: float) -> float:
@@ -143,24 +128,24 @@ def _pll_gain(radians: float) -> float:
     return math.ldexp(radians / (2.0 * math.pi), 32 - 14 - F2)
 
 
-def _reliability(to: Converter) -> dict[str, Field]:
+def _reliability(to: Converter) -> dict[str, Value]:
     axis, s = to.axis, to.s
     resistance = axis("emf_check.resistance") * axis("motor.r_s") * s.i / s.u_s
     return {
-        "reliability.period": to.at(UINT16, "reliability.period", 1.0),
-        "reliability.variance_threshold": to.at(THRESHOLD, "reliability.variance_threshold", 1.0),
-        "reliability.hysteresis": to.at(UINT16, "reliability.hysteresis", 1.0),
-        "emf_check.floor": to.at(FRAC16, "emf_check.floor", 1.0 / s.u_s),
-        "emf_check.floor_spin": to.at(FRAC16, "emf_check.spin_floor", 1.0 / s.u_s),
-        "emf_check.resistance": to.of(GAIN, "resistance of the back-EMF check", resistance, "correct motor.r_s"),
-        "emf_check.part": to.at(PART, "emf_check.part", 1.0),
+        "reliability.period": to.at("reliability.period", 1.0),
+        "reliability.variance_threshold": to.at("reliability.variance_threshold", 1.0),
+        "reliability.hysteresis": to.at("reliability.hysteresis", 1.0),
+        "emf_check.floor": to.at("emf_check.floor", 1.0 / s.u_s),
+        "emf_check.floor_spin": to.at("emf_check.spin_floor", 1.0 / s.u_s),
+        "emf_check.resistance": to.of("resistance of the back-EMF check", resistance, "correct motor.r_s"),
+        "emf_check.part": to.at("emf_check.part", 1.0),
         "emf_check.ticks_spin": to.ticks("emf_check.spin_time"),
         "emf_check.ticks_stand": to.ticks("emf_check.stand_time"),
         "emf_check.ticks_check": to.ticks("emf_check.check_time"),
     }
 
 
-def _start_up(to: Converter, start_up: StartUp) -> dict[str, Field]:
+def _start_up(to: Converter, start_up: StartUp) -> dict[str, Value]:
     axis, board, s = to.axis, to.board, to.s
     slew = (start_up.current_final - start_up.current_first) / s.i * board.tick / start_up.current_time
     speed_step = start_up.speed_final / s.speed * board.tick / start_up.speed_time
@@ -169,33 +154,31 @@ def _start_up(to: Converter, start_up: StartUp) -> dict[str, Field]:
     ramp = either("start_up.speed_time" if axis.given("start_up.speed_time") else "start_up.swings")
     return {
         "startup.first_current": to.of(
-            FRAC16, "start_up.current_first", start_up.current_first / s.i, either("start_up.current_first")
+            "start_up.current_first", start_up.current_first / s.i, either("start_up.current_first")
         ),
         "startup.final_current": to.of(
-            FRAC16, "start_up.current_final", start_up.current_final / s.i, either("start_up.current_final")
+            "start_up.current_final", start_up.current_final / s.i, either("start_up.current_final")
         ),
         "startup.current_step": to.of(
-            SLEW, "change of the start-up current per slow tick", slew, either("start_up.current_time")
+            "change of the start-up current per slow tick", slew, either("start_up.current_time")
         ),
         "startup.final_speed": to.of(
-            FRAC32, "start_up.speed_final", start_up.speed_final / s.speed, either("start_up.speed_final")
+            "start_up.speed_final", start_up.speed_final / s.speed, either("start_up.speed_final")
         ),
-        "startup.speed_step": to.of(FRAC32, "change of the forced speed per slow tick", speed_step, ramp),
-        "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", start_up.time_max / board.tick, ramp),
-        "startup.tests": to.at(UINT16, "start_up.consecutive_tests", 1.0),
+        "startup.speed_step": to.of("change of the forced speed per slow tick", speed_step, ramp),
+        "startup.duration_ticks": to.of("slow ticks of the start-up", start_up.time_max / board.tick, ramp),
+        "startup.tests": to.at("start_up.consecutive_tests", 1.0),
         "startup.minimum_speed": to.of(
-            FRAC32, "start_up.minimum_speed", start_up.minimum_speed / s.speed, either("start_up.minimum_speed")
+            "start_up.minimum_speed", start_up.minimum_speed / s.speed, either("start_up.minimum_speed")
         ),
-        "startup.mean_min": to.at(UINT16_Q14, "start_up.mean_min", 1.0),
-        "startup.mean_max": to.at(UINT16_Q14, "start_up.mean_max", 1.0),
+        "startup.mean_min": to.at("start_up.mean_min", 1.0),
+        "startup.mean_max": to.at("start_up.mean_max", 1.0),
         "startup.damping": to.of(
-            GAIN, "damping of the oscillation", start_up.damping * s.u_s / s.i, either("start_up.swing_damping")
+            "damping of the oscillation", start_up.damping * s.u_s / s.i, either("start_up.swing_damping")
         ),
-        "startup.damping_limit": to.of(FRAC16, "start_up.swing_current", across, either("start_up.swing_current")),
+        "startup.damping_limit": to.of("start_up.swing_current", across, either("start_up.swing_current")),
         "startup.catch_ticks": to.ticks("start_up.catch_time"),
-        "startup.fade_step": to.of(
-            SLEW, "start_up.fade_time: current per slow tick", fade, either("start_up.fade_time")
-        ),
+        "startup.fade_step": to.of("start_up.fade_time: current per slow tick", fade, either("start_up.fade_time")),
     }
 
 
@@ -232,27 +215,31 @@ def _integer(constants: Mapping[str, Field], field: str) -> int:
     return raw
 
 
+def _fraction(constants: Mapping[str, Field], field: str) -> float:
+    return member_format(field).scale(_integer(constants, field))
+
+
 def used_observer(constants: Mapping[str, Field], design: BackEmfObserver, scales: Scales) -> BackEmfObserver:
     """Observer in SI units, computed from the integers."""
     raw = {key: _integer(constants, f"observer.{key}") for key in ("f1", "f2", "loss", "drive", "k1", "k2")}
     admittance = scales.u_s / scales.i
-    a = 1.0 - LOSS.scale(raw["loss"])
-    b = math.ldexp(DRIVE.scale(raw["drive"]), raw["f2"] - raw["f1"]) / admittance
+    a = 1.0 - member_format("observer.loss").scale(raw["loss"])
+    b = math.ldexp(member_format("observer.drive").scale(raw["drive"]), raw["f2"] - raw["f1"]) / admittance
     r_s = (1.0 - a) / b
-    k2 = math.ldexp(K2.scale(raw["k2"]), raw["f1"] - raw["f2"]) * admittance
-    return BackEmfObserver(r_s, -r_s * design.period / math.log(a), K1.scale(raw["k1"]), k2, design.period)
+    k2 = math.ldexp(member_format("observer.k2").scale(raw["k2"]), raw["f1"] - raw["f2"]) * admittance
+    return BackEmfObserver(
+        r_s, -r_s * design.period / math.log(a), member_format("observer.k1").scale(raw["k1"]), k2, design.period
+    )
 
 
 def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: Scales) -> Pll:
     """PLL in SI units, computed from the integers."""
     full = scales.u_s / axis("motor.psi_m")
-    kp, ki = (
-        math.ldexp(GAIN.scale(_integer(constants, f"pll.{key}")), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki")
-    )
+    kp, ki = (math.ldexp(_fraction(constants, f"pll.{key}"), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki"))
     omega_n = math.sqrt(ki) / board.period
-    per_tick = STEP_GAIN.scale(_integer(constants, "pll.acceleration"))
+    per_tick = math.ldexp(_integer(constants, "pll.acceleration"), -32)
     per_current = per_tick * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
     load = _integer(constants, "pll.load_gain") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
-    follow = GAIN.scale(_integer(constants, "pll.amplitude_gain")) / _step_per_emf(axis, board, scales)
+    follow = _fraction(constants, "pll.amplitude_gain") / _step_per_emf(axis, board, scales)
     size = -0.5 * math.log(1.0 - follow) / board.tick
     return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, load, size)

@@ -52,7 +52,7 @@ class Tuned(ControlLoops):
     @property
     def block(self) -> dict[str, int]:
         """The configuration block of a board, raw numbers by member."""
-        return block_of(self.constants, self.axis.name)
+        return block_of(self.constants)
 
     def rows(self) -> Iterator[GainRow]:
         """All gains."""
@@ -123,7 +123,7 @@ def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, Prob
     """Compute gains and integers of one axis without the optional parts that are unstable."""
     designed, constants, unusable = integers(axis, configuration, unstable)
     sensorless = None if SENSORLESS in unusable else Sensorless.of(axis, configuration.board)
-    block = {**block_of(constants, axis.name), **axis.members}
+    block = {**block_of(constants), **axis.members}
     constants = constants_of(block, constants)
     return Tuned(
         **vars(control_loops(block, axis.motor)),

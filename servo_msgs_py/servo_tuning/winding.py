@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from servo_tuning.configuration import Axis
-from servo_tuning.conversion import Converter, Field
+from servo_tuning.conversion import Converter, Value
 from servo_tuning.errors import either, higher, lower
-from servo_tuning.formats import FRAC16, fixed_point
 
 COPPER: Final = 3.93e-3
 """Temperature coefficient of the resistance of copper, relative to the resistance at `COLD` [1/K]."""
@@ -30,7 +29,6 @@ STEP_TICKS: Final = 64
 """Slow ticks per step of the model."""
 
 _FIT: Final = 1.01  # tolerance of the temperature rise by the rated current: data sheets are rounded
-_HEAT: Final = fixed_point("q32", 32, 1, 2**30 - 1)
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ def check_winding(axis: Axis) -> None:
         raise axis.refused("motor.rated_current", reason, lower("motor.rated_current"), advice)
 
 
-def winding_constants(to: Converter) -> dict[str, Field]:
+def winding_constants(to: Converter) -> dict[str, Value]:
     """Fields of ``winding_model_config_t``."""
     s, winding = to.s, Winding.of(to.axis)
     step = STEP_TICKS * to.board.tick
@@ -143,11 +141,9 @@ def winding_constants(to: Converter) -> dict[str, Field]:
     degrees = ("ambient", "initial", "derating", "maximum", "fault")
     return {
         f"{name}.heating": to.of(
-            _HEAT, "heating of the winding", winding.loss(s.i, COLD) * step / winding.capacity / FULL, *slower
+            "heating of the winding", winding.loss(s.i, COLD) * step / winding.capacity / FULL, *slower
         ),
-        f"{name}.cooling": to.of(
-            _HEAT, "cooling of the winding", step / (winding.resistance * winding.capacity), *slower
-        ),
-        **{f"{name}.{key}": to.at(FRAC16, f"winding.{key}", 1.0 / FULL) for key in degrees},
-        f"{name}.rated_current": to.at(FRAC16, "motor.rated_current", 1.0 / s.i),
+        f"{name}.cooling": to.of("cooling of the winding", step / (winding.resistance * winding.capacity), *slower),
+        **{f"{name}.{key}": to.at(f"winding.{key}", 1.0 / FULL) for key in degrees},
+        f"{name}.rated_current": to.at("motor.rated_current", 1.0 / s.i),
     }
