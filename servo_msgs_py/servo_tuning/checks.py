@@ -107,7 +107,8 @@ def _voltage(axis: Axis, board: Board) -> None:
             "its direction is not known"
         )
         advice = "add inductance to the motor cable"
-        raise axis.refused("limits.current", reason, higher("limits.current"), either("motor.l_d"), advice)
+        changes = higher("limits.current"), higher("motor.l_d"), lower("board.dead_time")
+        raise axis.refused("limits.current", reason, *changes, advice)
     maximum = idle_speed(axis, board)
     if axis("limits.speed") > maximum:
         reason = f"above the no-load speed of {maximum:.4g} rad/s at {board('nominal_voltage'):g} V"
@@ -151,7 +152,8 @@ def _bus(configuration: Configuration) -> None:
             f"at {board('brake.on_voltage'):g} V it dissipates {dissipated:.3g} W, less than the {returned:.3g} W that"
             " all braking axes return"
         )
-        raise board.refused("brake.resistance", reason, lower("board.brake.resistance"))
+        changes = (lower(f"{axis.name}.limits.current") for axis in configuration.axes)
+        raise board.refused("brake.resistance", reason, lower("board.brake.resistance"), *changes)
     kinetic = sum(0.5 * axis("motor.inertia") * axis("limits.speed") ** 2 for axis in configuration.axes)
     if board("brake.energy") < kinetic:
         reason = f"all axes together return up to {kinetic:.3g} J when they brake from their speed limits"

@@ -193,7 +193,8 @@ def speed_observer_constants(to: Converter) -> dict[str, Value]:
 def _motion(to: Converter, gains: Gains) -> dict[str, Value]:
     board, s, counts = to.board, to.s, to.axis.counts
     step = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
-    path = either("control.path_current_use"), either("limits.current"), "correct motor.inertia or motor.psi_m"
+    entries = ("control.path_current_use", "limits.current", "limits.speed")
+    path: tuple[Remedy | str, ...] = (*map(either, entries), "correct motor.inertia or motor.psi_m")
     return {
         "speed": to.pi("speed", "speed controller", gains.speed, s.speed / s.i, *_SLOWER),
         "position_gain": to.at("control.position_gain", 2.0 * math.pi / counts / s.speed),

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-from servo_tuning.configuration import Axis, Board
+from servo_tuning.configuration import FEEDBACKS, Axis, Board
 from servo_tuning.errors import higher, lower
 
 HOLD_SWINGS: Final = 1.0
@@ -18,6 +18,10 @@ VERIFY_SWINGS: Final = 4.0
 
 SALIENT_USE: Final = 0.5
 """Largest current of the search, relative to the one at which a salient rotor leaves the vector."""
+
+FRICTION_USE: Final = 0.25
+"""Largest electrical angle between rotor and vector by Coulomb friction [rad]; with 0.28 and 0.46 the searches of two
+salient motors had no result."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,20 @@ def check_rotor_search(axis: Axis, board: Board) -> None:
     if axis("rotor_search.current") > maximum:
         reason = f"above the current limit of {maximum:g} A (limits.current)"
         raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"), higher("limits.current"))
-    saliency = axis("motor.l_q") - axis("motor.l_d")
-    if axis("rotor_search.current") * saliency > SALIENT_USE * axis("motor.psi_m"):
-        largest = SALIENT_USE * axis("motor.psi_m") / saliency
+    saliency = max(axis("motor.l_q") - axis("motor.l_d"), 0.0)
+    largest = SALIENT_USE * axis("motor.psi_m") / saliency if saliency else math.inf
+    current = min(axis("rotor_search.current"), largest)
+    stiffness = axis.torque_constant * current * (1.0 - current * saliency / axis("motor.psi_m"))  # [N m/rad]
+    if axis.feedback == FEEDBACKS[0] and axis("friction.coulomb") > FRICTION_USE * stiffness:
+        reason = (
+            f"friction can hold the rotor {axis('friction.coulomb') / stiffness:.2g} rad (electrical) off the current"
+        )
+        reason = f"{reason} vector at {current:.3g} A, more than {FRICTION_USE:g} rad"
+        if current == largest:
+            reason = f"{reason}; above this current the reluctance of this rotor turns it off the vector"
+        advice = "correct friction.coulomb, motor.psi_m or motor.l_q"
+        raise axis.refused("rotor_search.current", reason, higher("rotor_search.current"), advice)
+    if current < axis("rotor_search.current"):
         reason = f"above {largest:.3g} A the reluctance of this rotor turns it off the current vector"
         raise axis.refused("rotor_search.current", reason, lower("rotor_search.current"))
     if axis("rotor_search.interval") >= 60.0:
