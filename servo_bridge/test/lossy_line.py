@@ -32,20 +32,25 @@ class LossyLine(FakeTransport):
         self.lose_request = 0.0
         self.lose_answer = 0.0
         self.damage = 0.0
+        self.half_duplex = False  # whether the target ignores a request that arrives while it sends an answer
         self.lost = 0
         self.damaged = 0
         self._busy_until = 0
+        self._answer_begin = 0  # time of its first byte [ns]
 
     def _transfer(self, request: bytes) -> list[tuple[int, bytes]]:
         arrived = self.now + len(request) * self.byte_ns
         if self.random.random() < self.lose_request:
             self.lost += 1
             return []
+        if self.half_duplex and self.now < self._busy_until and self._answer_begin < arrived:
+            return []
         answer = self.feed(self._damaged(request))
         if not answer or self.random.random() < self.lose_answer:
             self.lost += bool(answer)
             return []
-        self._busy_until = max(arrived, self._busy_until) + self.turnaround_ns() + len(answer) * self.byte_ns
+        self._answer_begin = max(arrived, self._busy_until) + self.turnaround_ns()
+        self._busy_until = self._answer_begin + len(answer) * self.byte_ns
         return [(self._busy_until - self.now, self._damaged(answer))]
 
     def _damaged(self, frame: bytes) -> bytes:

@@ -47,9 +47,11 @@ def test_a_lost_request_delays_by_less_than_three_round_trips() -> None:
 
 
 @pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
-def test_answers_are_not_assigned_to_other_requests(kind: type[FakeTarget]) -> None:
+@pytest.mark.parametrize("half_duplex", [False, True])
+def test_answers_are_not_assigned_to_other_requests(kind: type[FakeTarget], half_duplex: bool) -> None:
     """A target that is fast, then slow, then stalls, on a line that loses one frame of ten."""
     _, line, client = a_line(kind)
+    line.half_duplex = half_duplex
     line.lose_request = line.lose_answer = 0.05
     right = 0
     for number in range(1500):
@@ -63,6 +65,23 @@ def test_answers_are_not_assigned_to_other_requests(kind: type[FakeTarget]) -> N
         assert int.from_bytes(data, "little") == 0x2B00 + k
         right += 1
     assert right > 1400
+
+
+def test_a_request_that_a_late_target_ignores_delays_by_less_than_a_tenth_of_a_second() -> None:
+    """The target is late by a few milliseconds and still sends when it receives the next request."""
+    _, line, client = a_line()
+    line.half_duplex = True
+    usual = line.turnaround_ns
+    request = client.set_scope([ScopeSlot(BASE + 2 * k, 2) for k in range(8)])
+    expected = client.exchange(request).data
+    for late in range(1, 30):
+        for _ in range(20):
+            client.exchange(request)
+        turnarounds = iter([late * MS // 2])
+        line.turnaround_ns = lambda turnarounds=turnarounds: next(turnarounds, usual())  # type: ignore[misc]
+        begin = line.now
+        assert client.exchange(request).data == expected
+        assert line.now - begin < 100 * MS
 
 
 def test_a_command_is_never_started_twice_by_a_slow_target() -> None:

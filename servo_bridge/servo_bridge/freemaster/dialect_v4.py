@@ -69,12 +69,17 @@ class DialectV4:
 
     def fence(self, send: SendRequest) -> Fence | None:
         """Request whose response never changes; after `identify`."""
-        request = commands.get_config("PV")
-        try:
-            response = send(request)
-        except StatusError:
-            return None  # a refusal cannot be distinguished from other refusals
-        return Fence(request.frame, V4.answer(response.status, response.data))
+        fence: Fence | None = None
+        for key in ("VS", "PV"):
+            request = commands.get_config(key)
+            try:
+                response = send(request)
+            except StatusError:
+                continue  # a refusal cannot be distinguished from other refusals
+            answer = V4.answer(response.status, response.data)
+            if fence is None or fence.answer != answer:
+                fence = Fence(request.frame, answer, fence)
+        return fence
 
     def get_config(self, send: SendRequest, key: str) -> bytes | None:
         """Read a configuration value; None if it does not exist."""

@@ -86,6 +86,7 @@ class Fence:
 
     request: bytes
     answer: bytes
+    second: Fence | None = None  # with another response
 
 
 class Line:
@@ -289,18 +290,18 @@ class Line:
     def _pass(self, fence: Fence) -> None:
         """Send a fence and wait for its response; earlier bytes are late or damaged.
 
+        A half-duplex target ignores a fence that it receives while it sends a late response. Then the second fence
+        follows; its response is another one, so that a response to the first one does not count.
+
         Without a response the target is slow or the line has errors. Then the longest timeout applies to all requests
-        sent, so that there is never more than one fence pending.
+        sent, so that there is never more than one of these fences pending.
         """
         if self.before_request is not None:
             self.before_request()
-        begin_ns = self.clock()
-        self._transport.write(fence.request)
-        self.statistics.bytes_out += len(fence.request)
-        sent_ns = begin_ns + len(fence.request) * self._byte_ns
-        wire_ns = len(fence.answer) * self._byte_ns
-        limit = sent_ns + wire_ns + self._latency_ns
-        deadline = sent_ns + wire_ns + self._round_trip.allowance_ns
+        sent_ns = self._send_fence(fence)
+        allowance = self._round_trip.allowance_ns
+        limit = sent_ns + len(fence.answer) * self._byte_ns + self._latency_ns
+        deadline = sent_ns + len(fence.answer) * self._byte_ns + allowance
         received = b""
         while True:
             chunk = self._transport.read(deadline)
@@ -314,10 +315,21 @@ class Line:
             if now >= limit:
                 self.statistics.stray_bytes += len(received)
                 return
-            if now >= deadline:
+            if chunk:
+                # The response may follow a late one, which needs its transmission time.
+                late_ns = (len(fence.answer) + min(len(received), _ANSWER_LIMIT)) * self._byte_ns
+                deadline = min(max(sent_ns + late_ns, now) + allowance, limit)
+            elif received and fence.second is not None:
+                fence = fence.second
+                sent_ns = self._send_fence(fence)
+                deadline = min(sent_ns + len(fence.answer) * self._byte_ns + allowance, limit)
+            else:
                 self._round_trip.stalled()
                 deadline = limit
-            elif chunk:
-                # The response may follow a late one, which needs its transmission time.
-                late_ns = min(len(received), _ANSWER_LIMIT) * self._byte_ns
-                deadline = min(sent_ns + wire_ns + late_ns + self._round_trip.allowance_ns, limit)
+
+    def _send_fence(self, fence: Fence) -> int:
+        """Send a fence; returns the time at which the target has received it [ns]."""
+        begin_ns = self.clock()
+        self._transport.write(fence.request)
+        self.statistics.bytes_out += len(fence.request)
+        return begin_ns + len(fence.request) * self._byte_ns
