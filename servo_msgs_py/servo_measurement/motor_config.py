@@ -72,7 +72,7 @@ def configured(
     """
     table = copy.deepcopy(dict(base))
     board, own = table["board"], table.setdefault(axis_name(axis), {})
-    board.update(_supply(board, limits.voltage))
+    board.update(supply(board, limits.voltage))
     own.pop(MEMBERS, None)  # of another motor
     for group in (own, table.get("defaults", {})):
         group.get("winding", {}).pop("thermal_resistance", None)  # derived from the rated current
@@ -131,7 +131,7 @@ def configured(
     return table
 
 
-def _supply(board: Mapping[str, Any], voltage: float) -> dict[str, Any]:
+def supply(board: Mapping[str, Any], voltage: float) -> dict[str, Any]:
     """Entries of [board] with the voltages of another supply [V].
 
     The under-voltage threshold is scaled. The upper thresholds are ratings of the hardware and remain, unless the

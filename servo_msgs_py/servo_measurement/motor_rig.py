@@ -19,7 +19,7 @@ from servo_tuning.schema import BOARD_GROUPS
 from servo_measurement.access import Capture, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import LoggedAccess
-from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted
+from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted, supply
 from servo_measurement.motor_values import Limits
 from servo_measurement.standstill import PERIOD
 from servo_measurement.test_signal import TRIGGER, SweptSine, prepare_test_signal, start_test_signal
@@ -106,6 +106,11 @@ class MotorRig(AxisUnderTest):
         if abs(volts / nominal - 1.0) > VOLTAGE_TOLERANCE:
             text = f"the bus voltage is {volts:.3g} V, --voltage is {nominal:g} V: check the supply"
             raise MeasurementError(f"{text}, or correct --voltage", exactly("--voltage", float(f"{volts:.3g}")))
+        before, now = (board["over_voltage"] for board in (self._base["board"], supply(self._base["board"], nominal)))
+        if now > before:
+            self.report(
+                f"the over-voltage threshold is raised from {before:g} V to {now:g} V for --voltage {nominal:g}"
+            )
 
     def keep_protection(self) -> None:
         """Respect the existing protection of the axis; a `MeasurementError` if its limits are too narrow."""

@@ -127,6 +127,15 @@ def test_a_configuration_follows_the_motor() -> None:
             assert table["board"]["nominal_voltage"] == limits.voltage
 
 
+def test_a_raised_over_voltage_threshold_is_said() -> None:
+    said: list[str] = []
+    with Board(PLANT.with_bus(u_source=33.0), seed=1, level="ideal") as board:
+        board.run(0.05)
+        with pytest.raises(MeasurementError, match="too few"):
+            MotorTest(VirtualBoardAccess(board), 0, Limits(33.0, 1.0, turns=1.0), servo_table(), said.append).run()
+    assert "the over-voltage threshold is raised from" in said[0]
+
+
 def test_wide_without_a_random_motor_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", "--wide", "--level", "ideal", "--locked", "--out", str(tmp_path)]) != 0
     assert "add --motor N or --trials N" in capsys.readouterr().err
