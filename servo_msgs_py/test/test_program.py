@@ -127,8 +127,8 @@ def test_closed_terminal_does_not_disturb_the_clean_up() -> None:
             sys.executable,
             "-c",
             body(
-                "print('begun', flush=True)",
                 "try:",
+                "    print('begun', flush=True)",
                 "    time.sleep(60)",
                 "finally:",
                 "    print('text', flush=True); print('text', file=sys.stderr, flush=True)",
