@@ -96,7 +96,9 @@ def test_file_is_shown_compared_sent_and_read_back(
     own = bench.raw("config.checksum")
     file = edited(tmp_path, "mine.toml", axis1__motor={"psi_m": 0.012}, control={"position_gain": 50.0})
     assert bench.tool("tune", CONFIG) == 0
-    assert "no change" in capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert "no change" in out
+    assert all(f"[board.{group}] is compiled into the firmware" in err for group in ("brake", "regeneration"))
     for flag, status in (("--dry-run", 0), ("--diff", 1)):
         assert bench.tool("tune", file, flag) == status
         assert bench.raw("config.checksum") == own

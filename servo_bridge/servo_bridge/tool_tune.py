@@ -69,7 +69,9 @@ def _from_board(context: Context, memory: SessionPort) -> int:
 
 def _to_board(context: Context, memory: SessionPort) -> int:
     args = context.args
-    blocks, warnings = computed(Path(args.file), context.catalogue)
+    blocks, warnings, notes = computed(Path(args.file), context.catalogue)
+    for note in notes:
+        print(f"{args.file}: {note}", file=sys.stderr)
     axes = range(AXES) if args.axis is None else [args.axis - 1]
     for axis in axes:
         for warning in warnings[axis]:

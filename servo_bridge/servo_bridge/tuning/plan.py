@@ -14,6 +14,7 @@ from servo_msgs_py.table_text import aligned
 from servo_tuning.board_file import blocks_of
 from servo_tuning.reading import parse, read_table
 from servo_tuning.report import axis_reports
+from servo_tuning.schema import BOARD_GROUPS
 
 Block = Mapping[str, int]
 
@@ -27,6 +28,7 @@ class Computed(NamedTuple):
 
     blocks: Sequence[Block]  # members by path, per axis
     warnings: Sequence[Sequence[str]]  # texts, per axis
+    notes: Sequence[str] = ()  # groups of the file that are not part of the blocks
 
 
 def computed(path: Path, catalogue: Catalogue) -> Computed:
@@ -43,7 +45,12 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
     if (blocks := blocks_of(table)) is not None:
         return Computed(blocks, [()] * len(blocks))
     reports = axis_reports(parse(table, catalogue))
-    return Computed([report.tuned.block for report in reports], [list(map(str, report.findings)) for report in reports])
+    groups = [group for group in BOARD_GROUPS if group in table["board"]]
+    notes = [
+        f"[board.{group}] is compiled into the firmware and not sent; build the firmware with it" for group in groups
+    ]
+    warnings = [list(map(str, report.findings)) for report in reports]
+    return Computed([report.tuned.block for report in reports], warnings, notes)
 
 
 def read_blocks(memory: BoardWords, axes: Collection[int] = range(AXES)) -> dict[int, Block]:

@@ -44,7 +44,7 @@ class TuningProcess:
         ComputationError
             If there is no response.
         """
-        return Computed(*self._request(path))
+        return self._request(path)
 
     def close(self) -> None:
         """Kill a running process; no other is started."""
@@ -53,7 +53,7 @@ class TuningProcess:
             if self._process is not None:
                 self._process.kill()
 
-    def _request(self, path: Path) -> tuple[Any, Any]:
+    def _request(self, path: Path) -> Computed:
         command = with_parent_death_signal([sys.executable, "-m", __name__])
         pipe = subprocess.PIPE
         with self._lock:
@@ -77,8 +77,7 @@ class TuningProcess:
         answer = json.loads(output)
         if "refused" in answer:
             raise ConfigError(answer["refused"])
-        blocks, warnings = answer["result"]
-        return blocks, warnings
+        return Computed(*answer["result"])
 
 
 def main() -> int:

@@ -165,7 +165,8 @@ class TuningService(Part):
     def _plan(self, path: Path, lines: list[str]) -> Plan:
         """Plan of the changes; appends warnings and a table to `lines`."""
         old = read_blocks(self._memory)
-        blocks, warnings = self._process.computed(path)
+        blocks, warnings, notes = self._process.computed(path)
+        lines += [f"{path}: {note}" for note in notes]
         lines += [f"{path}: warning: {warning}" for axis in range(AXES) for warning in warnings[axis]]
         plan = Plan(old, dict(enumerate(blocks)))
         if plan.axes:
