@@ -52,33 +52,48 @@ ROWS_MAX: Final = 16  # figures of a picture
 DRAWN_MAX: Final = 4000  # trials of a picture
 
 
-def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
-    """Add ``sweep`` to the commands of ``servo-sim``.
+def measuring_parser(
+    verbs: Any, name: str, parents: Sequence[argparse.ArgumentParser], short: str, description: str, out: Path
+) -> argparse.ArgumentParser:
+    """Add a command that runs one experiment on many boards, with the options of its base and its workers.
 
     Parameters
     ----------
     verbs : argparse subparsers
         Subparsers of ``servo-sim``.
-    common : ArgumentParser
-        Parent with ``--seed``, ``--plant`` and ``--json``.
-    levelled : ArgumentParser
-        Parent with ``--level``.
+    name : str
+        Name of the command.
+    parents : sequence of ArgumentParser
+        Parents with the common options.
+    short, description : str
+        Help in the list of commands, and of the command itself.
+    out : Path
+        Default folder of the results.
     """
-    parser = verbs.add_parser(
-        "sweep",
-        parents=[common, levelled],
-        help="run an experiment on many boards with varied values",
-        description=_HELP.replace("%", "%%"),
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        name,
+        parents=parents,
+        help=short,
+        description=description.replace("%", "%%"),
         formatter_class=ParagraphFormatter,
     )
     parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="present servo.toml (default: of the firmware)")
+    parser.add_argument("--out", type=Path, default=out, metavar="FOLDER", help="default: %(default)s")
+    Runner.add_options(parser)
+    return parser
+
+
+def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
+    """Add ``sweep`` to the commands of ``servo-sim``; parameters as of `experiments.command.add_parser`."""
+    parser = measuring_parser(
+        verbs, "sweep", [common, levelled], "run an experiment on many boards with varied values", _HELP, _OUT
+    )
     parser.add_argument(
         "--vary", action="append", required=True, metavar="NAME=VALUES", help="value to vary; syntax above"
     )
     parser.add_argument("--method", choices=METHODS, help="default: grid if all values are discrete, else latin")
     parser.add_argument("--count", type=argument.count, metavar="N", help="trials, for latin and random")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml to vary (default: of the firmware)")
-    parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
     parser.add_argument("--resume", action="store_true", help="continue with the results in the folder")
     parser.add_argument("--parquet", action="store_true", help="also write sweep.parquet (needs pyarrow)")
     parser.add_argument(
@@ -89,7 +104,6 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         help=f"figures in the picture (default: the first {ROWS_MAX})",
     )
     parser.add_argument("--trial", type=int, metavar="K", help="run only this trial and print its table")
-    Runner.add_options(parser)
     parser.set_defaults(run=_run)
 
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.table_text import aligned
@@ -21,9 +20,9 @@ from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
 from servo_twin.servo_config import servo_table
 from servo_twin.simulation import SimulationError
+from servo_twin.validation.sweep.command import measuring_parser
 from servo_twin.validation.sweep.robust import Candidates, Objective, Score, front, search
 from servo_twin.validation.sweep.space import SYNTAX, Space, SpaceError, Varied
-from servo_twin.validation.sweep.trial import MEASURES
 from servo_twin.validation.sweep.variant import Base
 
 _HELP: Final = f"""\
@@ -45,15 +44,10 @@ CANDIDATES: Final = 64
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
-    """Add ``tune-robust`` to the commands of ``servo-sim``; parameters as of `sweep.command.add_parser`."""
-    parser = verbs.add_parser(
-        "tune-robust",
-        parents=[common, levelled],
-        help="optimise gains for a set of plants",
-        description=_HELP.replace("%", "%%"),
-        formatter_class=ParagraphFormatter,
+    """Add ``tune-robust`` to the commands of ``servo-sim``; parameters as of `experiments.command.add_parser`."""
+    parser = measuring_parser(
+        verbs, "tune-robust", [common, levelled], "optimise gains for a set of plants", _HELP, _OUT
     )
-    parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
     parser.add_argument(
         "--tune", action="append", required=True, metavar="NAME=RANGE", help="value of servo.toml or parameter to tune"
     )
@@ -71,9 +65,6 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     parser.add_argument(
         "--candidates", type=argument.count, default=CANDIDATES, metavar="N", help="default: %(default)s"
     )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="present servo.toml (default: of the firmware)")
-    parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
-    Runner.add_options(parser)
     parser.set_defaults(run=_run)
 
 
