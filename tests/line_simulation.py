@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.errors import AnswerTimeoutError, DamagedAnswerError
 from servo_bridge.freemaster.line import Line
-from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.board_port import active, place
+from servo_msgs_py.catalogue import AXES
 from servo_twin.board import Board
 from servo_twin.level import Level
 
@@ -167,22 +168,7 @@ class LineSimulation:
     # ---- the board
     def states(self) -> list[str]:
         """State of every axis: ``SPIN``, ``STOP``, ``FAULT HOST_SILENT`` ..."""
-        texts = []
-        for axis in range(AXES):
-            state, substate, faults = (
-                self.board.read_words(f"{axis_name(axis)}.{name}")[0] for name in ("state", "substate", "faults")
-            )
-            label = self.board.catalogue.label("state_t", state)
-            if label == "RUN":
-                label = self.board.catalogue.label("substate_t", substate)
-            names = [flag.name for flag in self.board.catalogue.active("faults", faults)]
-            texts.append(" ".join([label, *names]))
-        return texts
-
-    def limits(self, axis: int) -> list[str]:
-        """Names of the active limits of an axis."""
-        word = self.board.read_words(f"{axis_name(axis)}.limits")[0]
-        return [flag.name for flag in self.board.catalogue.active("limits", word)]
+        return [" ".join([place(self.board, axis), *sorted(active(self.board, axis))]) for axis in range(AXES)]
 
     def enable(self) -> None:
         """Enable both axes over the line and wait until they hold their positions."""

@@ -14,6 +14,7 @@ import pytest
 from line_simulation import BAUDS, LineSimulation
 from servo_bridge.freemaster.commands import write_memory
 from servo_bridge.freemaster.errors import Status, StatusError
+from servo_msgs_py.board_port import active
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_twin.level import Level, chosen_level
 
@@ -60,7 +61,7 @@ def test_velocity_not_renewed(sim: LineSimulation) -> None:
     assert sim.stop_time(start) <= TIMEOUT + RAMP + MARGIN
     assert sim.travel(start) <= SPEED * (TIMEOUT + RAMP / 2 + 0.01)
     assert sim.states() == SPIN
-    assert all("EXPIRED" in sim.limits(axis) for axis in range(AXES))
+    assert all("EXPIRED" in active(sim.board, axis, "limits") for axis in range(AXES))
     assert_standstill(sim)
 
 
@@ -73,7 +74,7 @@ def test_torque_not_renewed(sim: LineSimulation) -> None:
     assert reached > SPEED
     assert sim.stop_time(start) <= TIMEOUT + reached / 4000.0 + MARGIN
     assert sim.states() == SPIN
-    assert all("EXPIRED" in sim.limits(axis) for axis in range(AXES))
+    assert all("EXPIRED" in active(sim.board, axis, "limits") for axis in range(AXES))
     assert_standstill(sim)
 
 
@@ -83,7 +84,7 @@ def test_position_not_renewed(sim: LineSimulation) -> None:
     sim.run(1.5, sim.host.keep_alive)
     assert sim.travel(start) == pytest.approx(20.0, abs=0.1)
     assert sim.states() == SPIN
-    assert not any("EXPIRED" in sim.limits(axis) for axis in range(AXES))
+    assert not any("EXPIRED" in active(sim.board, axis, "limits") for axis in range(AXES))
     assert_standstill(sim)
 
 

@@ -8,7 +8,8 @@ from typing import Any, Final
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.commands import Request
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.board_port import place, reached, word
+from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_twin.board_memory import BoardMemory
 from servo_twin.fault_injection import NativeFault
@@ -55,6 +56,7 @@ class Rig:
         # names of the entries in the table of variables
         self.entries: Sequence[str] = [entry.name for entry in self._memory.table]
         self._sent_ns = 0
+        self._silent = False  # the present wait sends no keep-alives
 
     def __enter__(self) -> Rig:
         return self
@@ -85,19 +87,23 @@ class Rig:
         RigError
             If it does not hold in time.
         """
-        for _ in range(round(within / _STEP)):
-            if condition():
-                return
-            if not silent and self._now_ns() - self._sent_ns > _HEARTBEAT * 1e9:
-                self.command("KEEP_ALIVE")
-            self.run(_STEP)
+        self._silent = silent
+        holds = reached(self, condition, within, _STEP)
+        self._silent = False
+        if holds:
+            return
         axes = "; ".join(f"axis{k + 1} {state} {self.faults(k)}" for k, state in enumerate(self.states()))
         raise RigError(f"not within {within:g} s: {what}; {axes}")
 
-    @property
-    def now(self) -> float:
+    def clock(self) -> float:
         """Simulated time [s]."""
         return self._now_ns() * 1e-9
+
+    def wait(self, seconds: float) -> None:
+        """Advance simulated time [s] after a keep-alive, if one is due."""
+        if not self._silent and self._now_ns() - self._sent_ns > _HEARTBEAT * 1e9:
+            self.command("KEEP_ALIVE")
+        self.run(seconds)
 
     def _now_ns(self) -> int:
         return int(self._lib.board_time_ns(self._board))
@@ -130,6 +136,13 @@ class Rig:
         """Write the raw numbers of a variable; the board refuses those outside its range."""
         self.request(commands.write_memory(self.address(name), self.catalogue[name].encode_raw(raw)))
 
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        """Write elements of a variable of the configuration; False if the board refuses them."""
+        variable = self.catalogue[name]
+        address = self.address(name) + first * variable.element_size
+        self.request(commands.write_memory(address, variable.pack(words)))
+        return self.read_words("config.refusal") == [0]
+
     def points(self, *points: TimedPoint) -> None:
         """Write timed points; the answer is not checked."""
         words = encode_points(self.catalogue, points)
@@ -140,13 +153,10 @@ class Rig:
         data = b"".join(word.to_bytes(4, "little", signed=True) for word in words)
         self.request(commands.write_memory(self.address("cmd.points"), data))
 
-    def points_together(self, *writes: Sequence[TimedPoint]) -> None:
-        """Send several writes of timed points without a pause."""
-        frames = b""
-        for points in writes:
-            data = b"".join(word.to_bytes(4, "little", signed=True) for word in encode_points(self.catalogue, points))
-            frames += commands.write_memory(self.address("cmd.points"), data).frame
-        self.send(frames)
+    def together(self, *writes: tuple[str, Sequence[int]]) -> None:
+        """Send several writes of raw numbers without a pause."""
+        frames = (commands.write_memory(self.address(name), self.catalogue[name].pack(words)) for name, words in writes)
+        self.send(b"".join(frame.frame for frame in frames))
 
     # ---- reading ----------------------------------------------------------------------------------------------------
 
@@ -161,23 +171,18 @@ class Rig:
             raise RigError(f"{name} is not a scalar")
         return value
 
-    def raw(self, name: str) -> list[int]:
+    def read_words(self, name: str) -> list[int]:
         """Raw numbers of a variable."""
         variable = self.catalogue[name]
         return variable.decode_raw(self._memory.read(self.address(name), variable.size))
 
     def states(self) -> list[str]:
         """State of both axes: the sub-state in RUN, else the state."""
-        return [self._state(f"axis{k}") for k in (1, 2)]
-
-    def _state(self, axis: str) -> str:
-        state = self.catalogue.label("state_t", round(self.get(f"{axis}.state")))
-        substate = self.catalogue.label("substate_t", round(self.get(f"{axis}.substate")))
-        return substate if state == "RUN" else state
+        return [place(self, axis) for axis in range(AXES)]
 
     def faults(self, axis: int) -> list[str]:
         """Names of the faults of an axis (0 or 1)."""
-        return [flag.name for flag in self.catalogue.active("faults", round(self.get(f"axis{axis + 1}.faults")))]
+        return [flag.name for flag in self.catalogue.active("faults", word(self, axis, "faults"))]
 
     # ---- the plant --------------------------------------------------------------------------------------------------
 

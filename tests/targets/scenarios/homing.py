@@ -5,24 +5,15 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
 from servo_msgs_py.catalogue import Catalogue
 
 from targets.rig import Rig
 from targets.scenarios.parts import POSITION, SPEED, features, ready, spin
-from targets.scenarios.tuning import Blocks
+from targets.scenarios.tuning import scaled
 
 _METHOD: Final = Catalogue.load().enums["home_method_t"]
 _FASTER: Final = {"home.speed": 4.0, "home.turns_max": 0.05, "home.back_off": 0.5}
 """Factors of configuration members that shorten a homing."""
-
-
-def _shorten_homing(rig: Rig) -> None:
-    blocks = Blocks(rig)
-    for axis in (0, 1):
-        block = read_block(blocks, axis)
-        send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in _FASTER.items()})
-    take_blocks(blocks, [0, 1])
 
 
 def _home(rig: Rig, first: str, second: str = "NONE") -> None:
@@ -32,7 +23,7 @@ def _home(rig: Rig, first: str, second: str = "NONE") -> None:
 def _end(rig: Rig, axis: int = 0) -> None:
     homing = rig.catalogue.enums["home_state_t"]["HOMING"]
     rig.run(0.003)
-    rig.until("the end of a homing", lambda: rig.raw(f"axis{axis + 1}.home_state") != [homing], 3.0)
+    rig.until("the end of a homing", lambda: rig.read_words(f"axis{axis + 1}.home_state") != [homing], 3.0)
 
 
 def positions(rig: Rig) -> None:
@@ -77,18 +68,18 @@ def positions(rig: Rig) -> None:
 def homing(rig: Rig) -> None:
     """Homing to a stop at changing positions, without a stop, and between two stops."""
     ready(rig)
-    _shorten_homing(rig)
+    scaled(rig, dict.fromkeys((0, 1), _FASTER))
     spin(rig)
     step = 2.0 * math.pi / 4000
-    (start,) = rig.raw("axis1.position")
+    (start,) = rig.read_words("axis1.position")
     rig.obstruct(0, 10 * step, math.inf)
     rig.obstruct(1, math.inf, math.inf)
     _home(rig, "STOP_NEGATIVE", "STOP_POSITIVE")  # axis 2 has no stop
     for shift in (0, 5, -4):
-        rig.until("a contact", lambda: rig.raw("axis1.position")[0] < start and rig.get("axis1.i_q") < -0.6, 3.0)
+        rig.until("a contact", lambda: rig.read_words("axis1.position")[0] < start and rig.get("axis1.i_q") < -0.6, 3.0)
         rig.until("the back-off", lambda: rig.get("axis1.speed") > 5.0, 3.0)
         rig.run(0.004)
-        rig.obstruct(0, (rig.raw("axis1.position")[0] - start + 10 - shift) * step, math.inf)
+        rig.obstruct(0, (rig.read_words("axis1.position")[0] - start + 10 - shift) * step, math.inf)
     _end(rig)
     _end(rig, 1)
     rig.obstruct(0, 0.005, 0.005)  # stops in both directions
@@ -99,7 +90,7 @@ def homing(rig: Rig) -> None:
 def blocked(rig: Rig) -> None:
     """A stop before the switch, and contacts that are too far apart."""
     ready(rig)
-    _shorten_homing(rig)
+    scaled(rig, dict.fromkeys((0, 1), _FASTER))
     spin(rig)
     rig.obstruct(0, math.inf, 0.01)
     rig.obstruct(1, 0.01, math.inf)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servo_msgs_py.timed_points import TimedPoint
+from servo_msgs_py.timed_points import TimedPoint, encode_points
 
 from targets.rig import Rig, RigError
 from targets.scenarios.parts import FAR, POSITION, SPEED, TORQUE, TRAJECTORY, features, raw_range, ready, spin, stop
@@ -205,7 +205,7 @@ def trajectory(rig: Rig) -> None:
     rig.words(0, 0, 0, -(2**31))
     one = point(0, 2000, 0.1, replaces=True)
     for _ in range(4):  # some are received before the slow tick of the previous one
-        rig.points_together([one], [one])
+        rig.together(*[("cmd.points", encode_points(rig.catalogue, [one]))] * 2)
     rig.until("HOST_SILENT by an underrun of points", lambda: rig.faults(1) == ["HOST_SILENT"])
     rig.points(point(0, 640, 0.1, replaces=True))
     rig.run(0.05)

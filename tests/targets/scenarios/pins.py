@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_twin.fault_injection import CutWire
 from servo_twin.plant import PlantConfig
 
 from targets.rig import Rig
 from targets.scenarios.parts import HOLD, POSITION, SPEED, TEST, plant, ready
-from targets.scenarios.tuning import Blocks
 
 _EVERYTHING = 31
 _TICKS = 8
@@ -30,14 +29,11 @@ def wired() -> PlantConfig:
 
 
 def _fit(rig: Rig) -> None:
-    blocks = Blocks(rig)
-    for axis in (0, 1):
-        block = read_block(blocks, axis)
-        fitted = {"pins.fitted": _EVERYTHING, "pins.open_ticks": _TICKS, "pins.close_ticks": _TICKS}
-        send_block(
-            blocks, axis, {**block, **fitted, "rotor_search.current_step": 4 * block["rotor_search.current_step"]}
-        )
-    take_blocks(blocks, [0, 1])
+    fitted = {"pins.fitted": _EVERYTHING, "pins.open_ticks": _TICKS, "pins.close_ticks": _TICKS}
+    blocks = [{**block, **fitted} for block in (read_block(rig, axis) for axis in (0, 1))]
+    for block in blocks:
+        block["rotor_search.current_step"] *= 4
+    send_configuration(rig, dict(enumerate(blocks)))
     rig.run(0.005)
 
 

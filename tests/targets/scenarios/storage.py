@@ -11,7 +11,7 @@ SAVE, FACTORY = 1, 2
 
 
 def _finish(rig: Rig) -> None:
-    rig.until("the flash is done", lambda: rig.raw("storage.state") == [0])
+    rig.until("the flash is done", lambda: rig.read_words("storage.state") == [0])
 
 
 def _reset(rig: Rig) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final
 
-from servo_bridge.freemaster import commands
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
 
@@ -17,57 +16,28 @@ from targets.server_requests import log_request
 _TABLE: Final = AxisConfigTable.load()
 
 
-class Blocks:
-    """Port to the board of a rig: writes use the serial line, reads do not."""
-
-    def __init__(self, rig: Rig) -> None:
-        self._rig, self.catalogue = rig, rig.catalogue
-
-    def read_words(self, name: str) -> list[int]:
-        return self._rig.raw(name)
-
-    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        assert first == 0
-        self._rig.request(commands.write_memory(self._rig.address(name), self._rig.catalogue[name].pack(words)))
-        return self.read_words("config.refusal") == [0]
-
-    def together(self, *writes: tuple[str, Sequence[int]]) -> None:
-        """Send several writes without a pause."""
-        frames = b""
-        for name, words in writes:
-            frames += commands.write_memory(self._rig.address(name), self._rig.catalogue[name].pack(words)).frame
-        self._rig.send(frames)
-
-    def clock(self) -> float:
-        return self._rig.now
-
-    def wait(self, seconds: float) -> None:
-        self._rig.run(seconds)
-
-
-def _take(blocks: Blocks, changed: dict[int, dict[str, float]]) -> None:
+def scaled(rig: Rig, changed: Mapping[int, Mapping[str, float]]) -> None:
     """Send the blocks of axes with some members multiplied by factors, and take them."""
     for axis, factors in changed.items():
-        block = read_block(blocks, axis)
-        send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in factors.items()})
-    take_blocks(blocks, list(changed))
+        block = read_block(rig, axis)
+        send_block(rig, axis, block | {path: round(block[path] * factor) for path, factor in factors.items()})
+    take_blocks(rig, list(changed))
 
 
 def tuning(rig: Rig) -> None:
     """Blocks of both axes at rest, gains in motion with every estimator, and every refusal."""
-    blocks = Blocks(rig)
     ready(rig)
     defaults = dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit", "following_error", "over_speed"), 0.9)
     defaults |= {"position_limit": 0.5, "features": 0.5, "stop.disable": 0.5, "stop.quick_stop": 0.4}
-    _take(blocks, {0: {**defaults, "torque_constant": 0.95, "stop_ticks_max": 1.1}, 1: {"u_dc_max": 0.99}})
-    _take(blocks, {0: dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit"), 1.1)})
-    block = read_block(blocks, 1)
-    send_block(blocks, 1, block | {"feedback": 1})
-    take_blocks(blocks, [1])
-    send_block(blocks, 1, block)
-    take_blocks(blocks, [1])
+    scaled(rig, {0: {**defaults, "torque_constant": 0.95, "stop_ticks_max": 1.1}, 1: {"u_dc_max": 0.99}})
+    scaled(rig, {0: dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit"), 1.1)})
+    block = read_block(rig, 1)
+    send_block(rig, 1, block | {"feedback": 1})
+    take_blocks(rig, [1])
+    send_block(rig, 1, block)
+    take_blocks(rig, [1])
 
-    _refusals(blocks, block)
+    _refusals(rig, block)
     rig.set("param.features", features("FRICTION", "SPEED_OBSERVER", "ACCELERATION_FORWARD"), features("ANGLE_CHECK"))
     spin(rig)
     rig.set("cmd.mode", SPEED, POSITION)
@@ -76,20 +46,20 @@ def tuning(rig: Rig) -> None:
     rig.run(0.04)
     gains = ("speed.kp", "current_loop.q.kp", "current_loop.d.kp", "current_loop.omega_psi", "friction.viscous")
     shaft = ("speed_observer.acceleration_per_current", "pll.acceleration", "path_omega_n_ts", "acceleration_forward")
-    _take(blocks, {axis: {**dict.fromkeys(gains, 0.8), **dict.fromkeys(shaft, 1.1)} for axis in (0, 1)})
-    _take(blocks, {1: {"position_gain": 0.999}, 0: {"position_gain": 1.5}})
+    scaled(rig, {axis: {**dict.fromkeys(gains, 0.8), **dict.fromkeys(shaft, 1.1)} for axis in (0, 1)})
+    scaled(rig, {1: {"position_gain": 0.999}, 0: {"position_gain": 1.5}})
     with suppress(BlockRefusedError):
-        _take(blocks, {0: {"u_dc_max": 0.98}})
+        scaled(rig, {0: {"u_dc_max": 0.98}})
     rig.run(0.03)
     stop(rig)
 
 
 def hot_winding(rig: Rig) -> None:
     """A falling nominal heat capacity of a winding: derating, limit at the rated current, fault, and recovery."""
-    blocks, step = Blocks(rig), 0.034  # step of the thermal model [s]
+    step = 0.034  # step of the thermal model [s]
     rig.set("param.features", features("WINDING_MODEL"), features())
     spin(rig)
-    _take(blocks, {0: {"winding_model.derating": 0.9}})
+    scaled(rig, {0: {"winding_model.derating": 0.9}})
     rig.run(step)
     rig.set("cmd.mode", TORQUE, POSITION)
     rig.set("cmd.i_q", 4.0, 0.0)
@@ -103,50 +73,49 @@ def hot_winding(rig: Rig) -> None:
     rig.set("cmd.i_q", 0.1, 0.0)
     rig.run(0.002)
     rig.set("param.features", features("WINDING_MODEL"), features())
-    _take(blocks, {0: {"winding_model.maximum": 0.7}})
+    scaled(rig, {0: {"winding_model.maximum": 0.7}})
     rig.run(step)
-    _take(blocks, {0: {"winding_model.fault": 0.7}})
+    scaled(rig, {0: {"winding_model.fault": 0.7}})
     rig.until("a hot winding", lambda: "MOTOR_TEMPERATURE" in rig.faults(0))
-    _take(blocks, {0: {"winding_model.maximum": 1.4, "winding_model.fault": 1.4}})
+    scaled(rig, {0: {"winding_model.maximum": 1.4, "winding_model.fault": 1.4}})
     rig.run(step)
     rig.set("cmd.clear_faults", 1, 0)
     rig.until("cleared", lambda: rig.states()[0] == "STOP")
 
 
-def _refusals(blocks: Blocks, block: dict[str, int]) -> None:
+def _refusals(rig: Rig, block: dict[str, int]) -> None:
     words = _TABLE.words(block)
     header = [1, _TABLE.layout - (1 << 32) * (_TABLE.layout >> 31), len(_TABLE), 0]
     for part in (
         [2, 0, 0], [0, -1, 0], [0, 0, 25, 0], [0, 0, 2, 0], [0, 0, 1, -1], [0, 0],
         [1, list(block).index("stop.ramp"), 1, 1],
     ):  # fmt: skip
-        blocks.write_words("config.window", part)
+        rig.write_words("config.window", part)
     for wrong in ([2, *header[1:]], [1, 0, *header[2:]], [*header[:2], 1, 0], header):
-        blocks.write_words("config.header", wrong)
+        rig.write_words("config.header", wrong)
     for axes in (0, 4, 2):
-        blocks.write_words("config.take", [axes])
+        rig.write_words("config.take", [axes])
     for busy in (("config.take", [2]), ("config.window", [1, 0, 1, words[0]]), ("config.header", header)):
         for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # one of them is early in a slow tick
-            send_block(blocks, 1, block)
-            blocks.wait(later)
+            send_block(rig, 1, block)
+            rig.run(later)
             # A request that arrives before the answer to the previous one is lost: the second one.
-            blocks.together(("config.take", [2]), ("config.take", [2]), busy)
-            blocks.wait(0.001)
+            rig.together(("config.take", [2]), ("config.take", [2]), busy)
+            rig.run(0.001)
 
 
 def measured(rig: Rig) -> None:
     """Sessions with other blocks and parameters, and each end: a silent host, another session, a stop, the host."""
-    blocks = Blocks(rig)
 
     def changed() -> None:
         """A session that has changed configuration, parameters and mode of axis 1."""
         rig.set_raw("measurement.axis", 1)
         rig.set("param.faults_enabled", 0, 0)
         rig.set_raw("cmd.mode", SPEED, POSITION)
-        _take(blocks, {0: {"u_dc_max": 0.99, "i_q_limit": 0.9}})
+        scaled(rig, {0: {"u_dc_max": 0.99, "i_q_limit": 0.9}})
 
     def restored() -> None:
-        rig.until("restored", lambda: rig.raw("measurement.state") == [0])
+        rig.until("restored", lambda: rig.read_words("measurement.state") == [0])
 
     for token in (1, 2):  # the second one is refused
         rig.set_raw("boot_token", token)
@@ -158,7 +127,7 @@ def measured(rig: Rig) -> None:
         rig.send(log_request(number))
     changed()
     with suppress(BlockRefusedError):
-        _take(blocks, {1: {"u_dc_max": 0.99}})
+        scaled(rig, {1: {"u_dc_max": 0.99}})
     rig.set_raw("storage.request", 1, 1)
     rig.set_raw("measurement.axis", 2)  # ends the session of axis 1
     restored()
@@ -170,11 +139,11 @@ def measured(rig: Rig) -> None:
     restored()
     rig.until("STOP", lambda: rig.states() == ["STOP", "STOP"])
     rig.set_raw("measurement.axis", 3)
-    block = read_block(blocks, 1)
+    block = read_block(rig, 1)
     for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # as in `_refusals`
-        send_block(blocks, 1, block)
-        blocks.wait(later)
-        blocks.together(("config.take", [2]), ("config.take", [2]), ("measurement.axis", [2]))
-        blocks.wait(0.001)
+        send_block(rig, 1, block)
+        rig.run(later)
+        rig.together(("config.take", [2]), ("config.take", [2]), ("measurement.axis", [2]))
+        rig.run(0.001)
         rig.set_raw("measurement.axis", 0)
         restored()
