@@ -308,11 +308,14 @@ class Rig:
     def connect(self, *states: tuple[int, int]) -> None:
         """Connect the link and deliver one sample."""
         self.link.set_states(*(states or (STOP, STOP)))
+        supervisor = self.bridge.supervisor
+        assert supervisor is not None
+        before = supervisor._snapshot
         self.link.connect()
         self.link.sample()
-        before = len(self.messages[topics.STATE])
         self.until(lambda: self.messages[topics.LINK] and self.messages[topics.LINK][-1].level == DiagnosticStatus.OK)
-        self.until(lambda: len(self.messages[topics.STATE]) > before)
+        self.until(lambda: supervisor._snapshot is not before)
+        self.until(lambda: self.messages[topics.STATE] and not self.state().startswith("DISCONNECTED"))
 
     def enable_axes(self) -> None:
         """Connect and enable, with both axes in RUN/SPIN."""
