@@ -47,7 +47,7 @@ def test_any_current_and_voltage(voltage: float, current: float) -> None:
 @pytest.mark.parametrize("number", [3, 6, 12, 25])
 def test_other_motors(number: int) -> None:
     plant, current = wide_motor(PLANT, 0, number)
-    assert_identified(plant, Limits(plant.bus.u_source, current, r_on=0.03), number)
+    assert_identified(plant, Limits(plant.bus.u_source, current, r_on=0.03))
 
 
 def test_the_supply_fault_of_a_lower_voltage_is_cleared_and_returns() -> None:
