@@ -136,6 +136,7 @@ class Line:
         self.clock = clock
         self.before_request = before_request
         self._unsettled = False
+        self._asked_ns = 0  # time at which the target has received the last request [ns]
         self.statistics = ClientStatistics() if statistics is None else statistics
 
     def exchange(self, request: Request, *, retries: int | None = None) -> Exchange:
@@ -220,6 +221,7 @@ class Line:
         statistics.bytes_out += len(request.frame)
         self.work_off()
         request_wire = len(request.frame) * self._byte_ns
+        self._asked_ns = request_ns + request_wire
         answer_size = _FIRST_CHUNK if request.answer_size is None else request.answer_size + _FRAME_BYTES
         allowance = self._latency_ns if request.patient else self._round_trip.allowance_ns
         deadline = request_ns + request_wire + allowance
@@ -302,7 +304,7 @@ class Line:
         allowance = self._round_trip.allowance_ns
         limit = sent_ns + len(fence.answer) * self._byte_ns + self._latency_ns
         deadline = sent_ns + len(fence.answer) * self._byte_ns + allowance
-        received = b""
+        received, arrived_ns = b"", sent_ns
         while True:
             chunk = self._transport.read(deadline)
             now = self.clock()
@@ -316,10 +318,12 @@ class Line:
                 self.statistics.stray_bytes += len(received)
                 return
             if chunk:
+                arrived_ns = now
                 # The response may follow a late one, which needs its transmission time.
                 late_ns = (len(fence.answer) + min(len(received), _ANSWER_LIMIT)) * self._byte_ns
                 deadline = min(max(sent_ns + late_ns, now) + allowance, limit)
             elif received and fence.second is not None:
+                self._round_trip.late(arrived_ns - self._asked_ns)
                 fence = fence.second
                 sent_ns = self._send_fence(fence)
                 deadline = min(sent_ns + len(fence.answer) * self._byte_ns + allowance, limit)

@@ -55,6 +55,10 @@ class RoundTrip:
         self._peak = max(extra_ns, self._peak - self._peak // _PEAK_LIFE)
         self._shift = 0
 
+    def late(self, delay_ns: int) -> None:
+        """Process the delay [ns] of a response that came after its timeout: the next timeouts include it."""
+        self._peak = max(self._peak, min(delay_ns, self.limit_ns))
+
     def lost(self) -> None:
         """Double the next timeout after a lost response."""
         if self.allowance_ns < self.limit_ns:
