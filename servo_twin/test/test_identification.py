@@ -315,11 +315,12 @@ def test_set_point_is_renewed_with_slow_exchanges() -> None:
 
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
         it = AxisUnderTest(Timed(board, slow=0.016), 0)
-        it.command_timeout(1.0)
-        it.command("cmd.i_q", 0.0)
-        for _ in range(50):
-            it.wait(0.002)
-            it.value("speed"), it.value("position")
+        with it.session():
+            it.command_timeout(1.0)
+            it.command("cmd.i_q", 0.0)
+            for _ in range(50):
+                it.wait(0.002)
+                it.value("speed"), it.value("position")
     assert len(written) > 4
     assert max(np.diff(written)) < 0.5
 
