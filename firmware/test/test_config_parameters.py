@@ -17,8 +17,8 @@ TABLE = Path(catalogue.__file__).with_name("variables.toml")
 
 ADDED = """
 [[variable]]
-name = "param.patience"
-path = "parameter.patience"
+name = "param.hold_time"
+path = "parameter.hold_time"
 type = "uint16"
 count = "axes"
 scale = "slow_tick"
@@ -52,19 +52,19 @@ int main(void)
     config.axis[1].rest_ticks_max = 7;
     parameters_default_board(&parameter, &config);
     parameters_default_axis(&parameter, 1, &config.axis[1]);
-    if (parameter.patience[0] != 0 || parameter.patience[1] != 7 || parameter.monitor_gain[1] != -70000) {
+    if (parameter.hold_time[0] != 0 || parameter.hold_time[1] != 7 || parameter.monitor_gain[1] != -70000) {
         return 1;
     }
-    parameter.patience[1] = 8;
+    parameter.hold_time[1] = 8;
     parameters_renew(&parameter, 1, &config.axis[1], &config.axis[1]);
     parameters_of_axis(&of_axis, &parameter, 1);
-    if (of_axis.patience != 8) {
+    if (of_axis.hold_time != 8) {
         return 2;
     }
     parameters_renew(&parameter, 1, &config.axis[1], &after);
     parameters_of_axis(&of_axis, &parameter, 1);
     parameters_of_board(&of_board, &parameter);
-    return of_axis.patience == 9 && of_board.monitor_gain[1] == -70000 ? 0 : 3;
+    return of_axis.hold_time == 9 && of_board.monitor_gain[1] == -70000 ? 0 : 3;
 }
 """
 

@@ -24,7 +24,6 @@ from servo_bridge.answers import Answers
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_context import BoardContext
 from servo_bridge.board_link import BoardLink
-from servo_bridge.board_time import BoardTime
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
 from servo_bridge.callback_watch import CallbackWatch
@@ -43,6 +42,7 @@ from servo_bridge.parameters import Settings
 from servo_bridge.part import Part
 from servo_bridge.path_commands import PathCommands
 from servo_bridge.publications import Publications
+from servo_bridge.sample_clocks import SampleClocks
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_point_topics import SetPointTopics
 from servo_bridge.slow_values import SlowValues
@@ -102,7 +102,7 @@ class Assembly:
         self._joints = joints
         self._context = context = BoardContext(catalogue, link.read, link.call, post, self._info, self._warn)
         self.telemetry = Telemetry(catalogue, link.layout.variables)
-        self.clocks = BoardTime(node.get_clock(), sample_size * 10 * 1_000_000_000 // settings.baud)
+        self.clocks = SampleClocks(node.get_clock(), sample_size * 10 * 1_000_000_000 // settings.baud)
 
         # Values of the board
         self.slow = SlowValues(

@@ -12,9 +12,9 @@ from servo_msgs_py.runtime.qos import command_qos
 
 from servo_bridge.admission import Admission, NotJoined, Place
 from servo_bridge.answers import Answers
-from servo_bridge.board_time import BoardTime
 from servo_bridge.command_context import CommandContext
 from servo_bridge.part import Part
+from servo_bridge.sample_clocks import SampleClocks
 from servo_bridge.set_points import JointSetPoint, Rejected, from_joint_command, requests_of
 from servo_bridge.telemetry import Snapshot
 from servo_bridge.trajectory.streamer import Streamer, require_within
@@ -36,7 +36,7 @@ class JointCommands(Part):
         Publisher of the answers to messages with a ticket.
     interfaces : mapping of str to collection of str, optional
         Arrays with each joint, if the sender omits joints in some arrays.
-    clocks : BoardTime
+    clocks : SampleClocks
         Converts times of messages to board time.
     """
 
@@ -47,7 +47,7 @@ class JointCommands(Part):
         answers: Answers,
         *,
         interfaces: Mapping[str, Collection[str]] | None,
-        clocks: BoardTime,
+        clocks: SampleClocks,
     ) -> None:
         self._context = context
         self._streamer = streamer

@@ -122,7 +122,7 @@ def _base(context: Context) -> dict[str, Any]:
 
 
 def _refuse_other_machine(context: Context, path: Path) -> None:
-    """Refuse a file that nobody has chosen for this board if the board has other pins or stops."""
+    """Refuse the default file if the board has other pins or stops."""
     blocks = computed(path, context.catalogue).blocks
     for axis, block in read_blocks(SessionPort(context.session)).items():
         other = [

@@ -315,7 +315,8 @@ class Rig:
         self.link.sample()
         self.until(lambda: self.messages[topics.LINK] and self.messages[topics.LINK][-1].level == DiagnosticStatus.OK)
         self.until(lambda: supervisor._snapshot is not before)
-        self.until(lambda: self.messages[topics.STATE] and not self.state().startswith("DISCONNECTED"))
+        published = supervisor.parts.publications
+        self.until(lambda: self.messages[topics.STATE] and self.state() == published._last_state)
 
     def enable_axes(self) -> None:
         """Connect and enable, with both axes in RUN/SPIN."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
-from servo_tuning.loops import TICK
+from servo_msgs_py.units import TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
 from servo_measurement.prediction import Prediction, predict

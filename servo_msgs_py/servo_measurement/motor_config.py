@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_msgs_py.units import TICK
 from servo_tuning import remedies
 from servo_tuning.braking import BUS_END
 from servo_tuning.errors import ConfigError, Problem, Remedy, Table
@@ -34,8 +35,6 @@ SUPPLY_END: Final = BUS_END * 36.3
 
 PATH_OMEGA_MAX: Final = 0.2
 """Largest omega_n Ts of the path filter; its format ends at 0.25."""
-
-TICK: Final = 0.5e-3  # [s]
 
 SPEED_BANDWIDTHS: Final = (75.0, 60.0, 45.0, 30.0, 20.0, 12.0, 8.0, 5.0)
 """Tried in this order until the loops are stable and the tuning tool reports no warning [Hz]."""

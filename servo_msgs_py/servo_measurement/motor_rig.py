@@ -11,6 +11,7 @@ from typing import Any, Final
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_configuration
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_tuning.configuration import Scales
 from servo_tuning.errors import ConfigError, Table, exactly, higher, lower
 from servo_tuning.formats import GAIN
@@ -24,7 +25,6 @@ from servo_measurement.motor_values import Limits
 from servo_measurement.standstill import PERIOD
 from servo_measurement.test_signal import TRIGGER, SweptSine, prepare_test_signal, start_test_signal
 
-TICK: Final = 0.5e-3  # [s]
 PROTECTION: Final = "protection"
 """Stage of a log: limits around the position of the shaft, and restoration; specific to one board."""
 _REVOLUTIONS_MIN: Final = 3.0  # in each direction: rotation by a rotating vector with one pole pair

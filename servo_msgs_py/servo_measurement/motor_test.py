@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD_NS, TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
@@ -40,7 +40,6 @@ from servo_measurement.motor_rig import (
     PROTECTION,
     STOPPED,
     SUPPLY_FAULTS,
-    TICK,
     MotorRig,
 )
 from servo_measurement.motor_values import Estimate, Limits

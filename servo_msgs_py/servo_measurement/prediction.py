@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD, TICK
 from servo_tuning.control_loops import ControlLoops, control_loops
 from servo_tuning.linear import Margins, Omega, margins
-from servo_tuning.loops import PERIOD, TICK, In, Out, ShaftLoops
+from servo_tuning.loops import In, Out, ShaftLoops
 from servo_tuning.sensors import EdgeDelay, edge_delay
 
 from servo_measurement.access import BoardAccess
@@ -45,9 +45,8 @@ class Prediction:
     @property
     def timer_clock(self) -> float:
         """Clock of the timers that measure the edges of the encoder [Hz]."""
-        full_speed = Catalogue.load().scales["speed"].full_scale
-        assert full_speed is not None
-        return self.value("mt_speed.speed_per_ratio") * full_speed * COUNTS_PER_TURN / (2.0 * math.pi)
+        per_ratio = self.value("mt_speed.speed_per_ratio") * Catalogue.load().full_scale("speed")
+        return per_ratio * COUNTS_PER_TURN / (2.0 * math.pi)
 
     @property
     def voltage_max(self) -> float:

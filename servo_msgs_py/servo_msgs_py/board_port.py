@@ -10,16 +10,13 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from servo_msgs_py.catalogue import Catalogue, axis_name
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
-
-TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
-"""One slow tick [s]."""
+from servo_msgs_py.units import TICK
 
 _INSTANT: Final = 1e-9  # tolerance of times [s]
 
 
-class BoardTime(Protocol):
-    """Time of a board."""
+class Waiting(Protocol):
+    """Time in which a board can be waited for."""
 
     def clock(self) -> float:
         """Elapsed time including communication [s]; only differences are meaningful."""
@@ -38,7 +35,7 @@ class BoardWords(Protocol):
         """Write elements of a variable from `first` on in one request; False if the board refuses the values."""
 
 
-class BoardPort(BoardTime, BoardWords, Protocol):
+class BoardPort(Waiting, BoardWords, Protocol):
     """A board."""
 
     @property
@@ -46,12 +43,12 @@ class BoardPort(BoardTime, BoardWords, Protocol):
         """Catalogue of its variables."""
 
 
-def reached(board: BoardTime, holds: Callable[[], bool], seconds: float, step: float = TICK) -> bool:
+def reached(board: Waiting, holds: Callable[[], bool], seconds: float, step: float = TICK) -> bool:
     """Wait for a condition.
 
     Parameters
     ----------
-    board : BoardTime
+    board : Waiting
         The board.
     holds : callable
         The condition.

@@ -239,6 +239,12 @@ class Catalogue:
         """
         return _packaged() if path is None else _read(path)
 
+    def full_scale(self, name: str) -> float:
+        """SI value of 1.0 of the scale of a fraction."""
+        value = self.scales[name].full_scale
+        assert value is not None, name
+        return value
+
     @classmethod
     def parse(cls, table: Mapping[str, Any]) -> Catalogue:
         """Build a catalogue from the parsed table; see `load`."""

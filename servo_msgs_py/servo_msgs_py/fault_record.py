@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from servo_msgs_py.catalogue import Catalogue, Flag, Value, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS, TICK
 
 _STRUCTURE: Final = "fault_record_t"
-_TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
 _MONITOR_PERIOD: Final = SLOW_PERIODS // 2
 """PWM period after a slow tick in which the firmware runs the monitors and samples (``firmware/app/servo.c``)."""
 
@@ -106,7 +105,7 @@ def _samples(tick: int, axis: int, following: int, size: int, rings: Mapping[str
     # in this period, the previous one is a slow tick older; axis 2 has one half a period earlier.
     periods = (tick - _MONITOR_PERIOD) % SLOW_PERIODS or (SLOW_PERIODS if axis == 0 else 0.5)
     since_monitor = periods * PERIOD_NS * 1e-9
-    time = -since_monitor - _TICK * np.arange(size - 2, -2, -1.0)
+    time = -since_monitor - TICK * np.arange(size - 2, -2, -1.0)
     time[-1:] = 0.0
     d, q, theta = samples["i_d"], samples["i_q"], samples["theta_e"]
     alpha, beta = d * np.cos(theta) - q * np.sin(theta), d * np.sin(theta) + q * np.cos(theta)

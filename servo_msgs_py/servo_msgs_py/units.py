@@ -18,6 +18,12 @@ PERIOD_NS: Final = 62_500
 SLOW_PERIODS: Final = 8
 """PWM periods per slow loop (0.5 ms, DRM 2.3.2)."""
 
+PERIOD: Final = PERIOD_NS * 1e-9
+"""Length of one PWM period [s]."""
+
+TICK: Final = PERIOD * SLOW_PERIODS
+"""Length of one slow tick [s]."""
+
 
 def to_raw(value: float, lsb: float, low: int, high: int) -> int:
     """Round an SI value to the nearest raw number.

@@ -43,12 +43,8 @@ class Scales:
 
     @classmethod
     def of(cls, catalogue: Catalogue) -> Scales:
-        def full(name: str) -> float:
-            value = catalogue.scales[name].full_scale
-            assert value is not None, name
-            return value
-
-        return cls(full("bus_voltage"), full("stator_voltage"), full("current"), full("speed"), full("torque_per_amp"))
+        names = ("bus_voltage", "stator_voltage", "current", "speed", "torque_per_amp")
+        return cls(*map(catalogue.full_scale, names))
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD, TICK
 
 from servo_tuning.gains import Gains, Pi
-from servo_tuning.loops import PERIOD, TICK, CurrentLoop, ShaftLoops
+from servo_tuning.loops import CurrentLoop, ShaftLoops
 from servo_tuning.motor import Motor, acceleration_per_current, motor_of
 from servo_tuning.sensors import MtSpeed, Observer
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_tuning.configuration import Axis, Board, Scales
 from servo_tuning.conversion import Converter, Value
 from servo_tuning.errors import either
-from servo_tuning.formats import member_format
 from servo_tuning.layout import notes, table
 
 _LARGEST: Final = ("field_weakening.current_use", "field_weakening.magnet_current")
@@ -193,15 +193,9 @@ def field_weakening_loops(axis: Axis, board: Board, block: Mapping[str, int]) ->
     On the circle i_q decreases by i_d / i_q of the increase of i_d, most at the largest i_d.
     """
     by_d, by_q = _voltage_per_current(axis, board)
-    s = Scales.of(Catalogue.load())
-    per_volt = (
-        member_format("field_weakening.gain").scale(block["field_weakening.gain"])
-        * s.i
-        / s.u_s**2
-        * 2.0
-        * board.voltage_max
-    )
-    q_share = member_format("field_weakening.q_share").scale(block["field_weakening.q_share"])
+    s, table = Scales.of(Catalogue.load()), AxisConfigTable.load()
+    per_volt = table.value("field_weakening.gain", block) * s.i / s.u_s**2 * 2.0 * board.voltage_max
+    q_share = table.value("field_weakening.q_share", block)
     limit, maximum = axis("limits.current"), i_d_max(axis)
     giving_way = maximum / math.sqrt(max(limit**2 - maximum**2, (0.01 * limit) ** 2))
     gains = {"by i_d": by_d, "by i_d on the circle": by_d + giving_way * by_q, "by i_q": q_share * by_q}

@@ -13,21 +13,15 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import PERIOD, SLOW_PERIODS, TICK
 
 from servo_tuning.gains import Gains, Pi
 from servo_tuning.linear import Margins, Matrix, Omega, System, held, margins
 from servo_tuning.motor import Motor
 from servo_tuning.sensors import EdgeDelay, SpeedSensor
-
-PERIOD: Final = PERIOD_NS * 1e-9
-"""Period of the fast loop [s]."""
-TICK: Final = PERIOD * SLOW_PERIODS
-"""Period of the slow loop [s]."""
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
-
-_TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
+from servo_msgs_py.units import COUNTS_PER_TURN, TICK
 
 
 @dataclass(frozen=True)
@@ -35,9 +32,8 @@ class Motor:
 def acceleration_per_current(block: Mapping[str, int]) -> float:
     """Nominal acceleration per q current [rad/s^2/A] of a block, as the speed observer uses it."""
     per_full_scale = AxisConfigTable.load().value("speed_observer.acceleration_per_current", block)
-    full_scale = Catalogue.load().scales["current"].full_scale
-    assert full_scale is not None
-    return per_full_scale / full_scale / _TICK**2 * 2.0 * math.pi / COUNTS_PER_TURN
+    per_current = per_full_scale / Catalogue.load().full_scale("current")
+    return per_current / TICK**2 * 2.0 * math.pi / COUNTS_PER_TURN
 
 
 def motor_of(block: Mapping[str, int]) -> Motor:
@@ -45,8 +41,7 @@ def motor_of(block: Mapping[str, int]) -> Motor:
 
     A block has the viscous friction only if the feature FRICTION can be used.
     """
-    table, full_speed = AxisConfigTable.load(), Catalogue.load().scales["speed"].full_scale
-    assert full_speed is not None
+    table, full_speed = AxisConfigTable.load(), Catalogue.load().full_scale("speed")
     pole_pairs = block["encoder.pole_pairs"]
     psi_m = table.value("current_loop.omega_psi", block) / pole_pairs
     torque_constant = 1.5 * pole_pairs * psi_m

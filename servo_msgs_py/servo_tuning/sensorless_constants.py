@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Final
+
+from servo_msgs_py.axis_config import AxisConfigTable
 
 from servo_tuning.configuration import Axis, Board, Scales
 from servo_tuning.conversion import Converter, Field, Fraction, PiRaw, Value
 from servo_tuning.errors import ConfigError, either
-from servo_tuning.formats import member_format
 from servo_tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
 from servo_tuning.sensorless_checks import check_sensorless
 from servo_tuning.sensors import AMPLITUDE_OFFSET_TIME
@@ -209,37 +211,25 @@ OFF: Final[Mapping[str, Field]] = {
 """All fields of an axis that cannot work without an encoder."""
 
 
-def _integer(constants: Mapping[str, Field], field: str) -> int:
-    raw = constants[field]
-    assert isinstance(raw, int), field
-    return raw
-
-
-def _fraction(constants: Mapping[str, Field], field: str) -> float:
-    return member_format(field).scale(_integer(constants, field))
-
-
-def used_observer(constants: Mapping[str, Field], design: BackEmfObserver, scales: Scales) -> BackEmfObserver:
+def used_observer(block: Mapping[str, int], design: BackEmfObserver, scales: Scales) -> BackEmfObserver:
     """Observer in SI units, computed from the integers."""
-    raw = {key: _integer(constants, f"observer.{key}") for key in ("f1", "f2", "loss", "drive", "k1", "k2")}
-    admittance = scales.u_s / scales.i
-    a = 1.0 - member_format("observer.loss").scale(raw["loss"])
-    b = math.ldexp(member_format("observer.drive").scale(raw["drive"]), raw["f2"] - raw["f1"]) / admittance
-    r_s = (1.0 - a) / b
-    k2 = math.ldexp(member_format("observer.k2").scale(raw["k2"]), raw["f1"] - raw["f2"]) * admittance
-    return BackEmfObserver(
-        r_s, -r_s * design.period / math.log(a), member_format("observer.k1").scale(raw["k1"]), k2, design.period
-    )
+    value = partial(AxisConfigTable.load().value, block=block)
+    admittance, shift = scales.u_s / scales.i, block["observer.f2"] - block["observer.f1"]
+    a = 1.0 - value("observer.loss")
+    r_s = (1.0 - a) / (math.ldexp(value("observer.drive"), shift) / admittance)
+    k2 = math.ldexp(value("observer.k2"), -shift) * admittance
+    return BackEmfObserver(r_s, -r_s * design.period / math.log(a), value("observer.k1"), k2, design.period)
 
 
-def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: Scales) -> Pll:
+def used_pll(block: Mapping[str, int], axis: Axis, board: Board, scales: Scales) -> Pll:
     """PLL in SI units, computed from the integers."""
+    value = partial(AxisConfigTable.load().value, block=block)
     full = scales.u_s / axis("motor.psi_m")
-    kp, ki = (math.ldexp(_fraction(constants, f"pll.{key}"), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki"))
+    kp, ki = (math.ldexp(value(f"pll.{key}"), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki"))
     omega_n = math.sqrt(ki) / board.period
-    per_tick = math.ldexp(_integer(constants, "pll.acceleration"), -32)
+    per_tick = math.ldexp(value("pll.acceleration"), -32)
     per_current = per_tick * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
-    load = _integer(constants, "pll.load_gain") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
-    follow = _fraction(constants, "pll.amplitude_gain") / _step_per_emf(axis, board, scales)
+    load = value("pll.load_gain") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
+    follow = value("pll.amplitude_gain") / _step_per_emf(axis, board, scales)
     size = -0.5 * math.log(1.0 - follow) / board.tick
     return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, load, size)

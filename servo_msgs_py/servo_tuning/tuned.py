@@ -131,18 +131,18 @@ def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, Prob
         board=configuration.board,
         designed=designed,
         constants=constants,
-        used_sensorless=sensorless and _used_sensorless(block, constants, sensorless, axis, configuration),
+        used_sensorless=sensorless and _used_sensorless(block, sensorless, axis, configuration),
         designed_sensorless=sensorless,
         unusable=unusable,
     )
 
 
 def _used_sensorless(
-    block: Mapping[str, int], constants: AxisConstants, design: Sensorless, axis: Axis, configuration: Configuration
+    block: Mapping[str, int], design: Sensorless, axis: Axis, configuration: Configuration
 ) -> Sensorless:
     return Sensorless(
-        observer=used_observer(constants, design.observer, configuration.scales),
-        pll=used_pll(constants, axis, configuration.board, configuration.scales),
+        observer=used_observer(block, design.observer, configuration.scales),
+        pll=used_pll(block, axis, configuration.board, configuration.scales),
         start_up=design.start_up,
         speed=pi_of(block, "observed_speed"),
     )

@@ -12,7 +12,7 @@ SOCKET: Final = "NOTIFY_SOCKET"
 
 
 def notify(status: str, *, ready: bool = False) -> None:
-    """Send one line of text, and whether the start is complete; nothing if nobody listens.
+    """Send one line of text, and whether the start is complete; without `SOCKET` nothing is sent.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.scope import Sample
 
 
-class BoardTime:
+class SampleClocks:
     """Converts between ticks of the board and the clocks of the host.
 
     Parameters
