@@ -385,7 +385,7 @@ class BridgeSimulation:
             if name.startswith("servo_bridge.") and getattr(module, "time", None) is time:
                 self._replace(name, "time", steady)
         self._replace(_LINK, "Line", partial(Line, clock=clock_ns))
-        self._replace("servo_bridge.board_time", "WallClock", partial(WallClock, steady=clock_ns))
+        self._replace("servo_bridge.sample_clocks", "WallClock", partial(WallClock, steady=clock_ns))
         self._replace(_ASSEMBLY, "Follower", partial(Follower, clock=steady.monotonic))
         self._replace(_ASSEMBLY, "action_interfaces", _nothing)
         self._replace(_ASSEMBLY, "TuningService", mock.MagicMock())  # it has a thread
