@@ -27,6 +27,8 @@ setup(
     install_requires=["numpy", 'tomli; python_version < "3.11"'],
     extras_require={
         "plot": ["matplotlib"],
+        # Recordings of runs (servo_msgs_py.run_file).
+        "record": ["mcap>=1.6", "rosbags>=0.11.9", "pyyaml", "zstandard"],
         # Only for machines without ROS 2: there these come as wheels.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces", "pyyaml"],
         "test": ["pytest", "hypothesis"],

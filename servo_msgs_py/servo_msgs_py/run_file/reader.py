@@ -1,0 +1,245 @@
+"""Reader of recordings: those of `RunWriter`, and bags that rosbag2 or other tools have written.
+
+It reads what is there: a file that was cut off up to its last complete chunk, and files without summary or metadata.
+What is missing is said in `RunReader.troubles`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import yaml
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Footer, Message, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.well_known import MessageEncoding
+from rosbags.rosbag2 import Reader as BagReader
+from rosbags.rosbag2 import ReaderError
+from zstandard import ZstdError
+
+_METADATA: Final = "metadata.yaml"
+_SUFFIXES: Final = (".mcap", ".db3")
+_REMEDY: Final = "give a .mcap or .db3 file, or the folder of a bag"
+
+_DAMAGE: Final = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError)
+"""Errors of the libraries for damaged contents."""
+
+
+_ENTRY: Final = struct.Struct("<BQ")
+"""Head of an entry of a chunk: its code, and the length of the rest."""
+_MESSAGE: Final = struct.Struct("<HIQQ")
+"""Head of a message: channel, number, times of the recording and of the publication."""
+
+
+class RunFileError(ValueError):
+    """A recording cannot be read; the text says which, why and what to do."""
+
+
+class Record(NamedTuple):
+    """One message."""
+
+    topic: str  # absolute, such as ``/servo/snapshot``
+    type: str  # such as ``std_msgs/msg/String``
+    time_ns: int  # time of the recording since the epoch [ns]; clocks may have jumped
+    data: bytes  # serialised message (CDR with its header)
+
+
+class RunReader:
+    """A recording; each call of `records` reads it anew.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.mcap`` or ``.db3`` file, or a folder: a bag of rosbag2, or the segments of one recording. ``run.mcap`` is
+        also the name of the recording whose segments are ``run.mcap``, ``run_1.mcap``, ``run_2.mcap``, of which the
+        first ones may have been removed.
+
+    Raises
+    ------
+    RunFileError
+        If there is nothing that can be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._missing: list[str] = []
+        self.files: list[Path] = self._folder(path) if path.is_dir() else self._series(path)
+        """Files that are read, in order; of a compressed bag its folder."""
+        self.troubles: list[str] = []
+        """What was missing in the last `records`, for people; complete at their end."""
+
+    def records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
+        """Messages in the order of their recording, which differs from that of their times if the clock has jumped.
+
+        Parameters
+        ----------
+        topics : collection of str, optional
+            Absolute names; default: all.
+
+        Raises
+        ------
+        RunFileError
+            If a file is not in a format that can be read.
+        OSError
+            If a file cannot be read.
+        """
+        self.troubles = list(self._missing)
+        wanted = None if topics is None else frozenset(topics)
+        for file in self.files:
+            yield from self._mcap(file, wanted) if file.suffix == ".mcap" else self._bag(file, wanted)
+
+    # ---- files
+    def _series(self, path: Path) -> list[Path]:
+        """The files of a recording by the path of the first one."""
+        if path.suffix == ".bag":
+            raise RunFileError(f"{path} is a bag of ROS 1; convert it with rosbags-convert")
+        if path.suffix not in _SUFFIXES:
+            raise RunFileError(f"{path} is no recording; {_REMEDY}")
+        files = [file for file in segments(path) if path.suffix == ".mcap" or file == path]
+        if not files:
+            raise RunFileError(f"{path}: there is no such recording; {_REMEDY}")
+        first = _split(files[0])[1] if files[0] != path else 0
+        count = next((k for k, file in enumerate(files) if file != segment(path, first + k)), len(files))
+        self._missing += [f"{file} does not continue {files[count - 1]} and is left out" for file in files[count:]]
+        return files[:count]
+
+    def _folder(self, folder: Path) -> list[Path]:
+        about = self._metadata(folder)
+        if str(about.get("compression_mode")).upper() in ("FILE", "MESSAGE"):
+            return [folder]
+        listed = [folder / Path(str(name)).name for name in about.get("relative_file_paths") or []]
+        self._missing += [f"{file}, which {_METADATA} lists, is missing" for file in listed if not file.exists()]
+        files = [file for file in listed if file.exists()]
+        if files:
+            return files
+        found = [file for suffix in _SUFFIXES for file in folder.glob(f"*{suffix}")]
+        names = sorted({_split(file)[0] + file.suffix for file in found})
+        if not names:
+            raise RunFileError(f"{folder} contains no recording; {_REMEDY}")
+        if len(names) > 1:
+            raise RunFileError(f"{folder} contains several recordings; give one: {', '.join(names)}")
+        return sorted(found, key=_split)
+
+    def _metadata(self, folder: Path) -> Mapping[str, Any]:
+        path = folder / _METADATA
+        try:
+            about = yaml.safe_load(path.read_bytes())["rosbag2_bagfile_information"]
+            return about if isinstance(about, Mapping) else {}
+        except FileNotFoundError:
+            return {}
+        except (yaml.YAMLError, TypeError, KeyError, ValueError):
+            self._missing.append(f"{path} is damaged: all files of the folder are read")
+            return {}
+
+    # ---- contents
+    def _mcap(self, file: Path, wanted: frozenset[str] | None) -> Iterator[Record]:
+        channels = _Channels(wanted)
+        damaged, entry = 0, None
+        with file.open("rb") as stream:
+            try:
+                for entry in StreamReader(stream, emit_chunks=True).records:
+                    if isinstance(entry, Chunk):
+                        try:
+                            chunk, size = get_chunk_data_stream(entry, validate_crc=True)
+                            data = chunk.read(size)
+                        except _DAMAGE:
+                            damaged += 1
+                        else:
+                            yield from _messages(data, channels)
+                    elif isinstance(entry, Message):
+                        channel = channels.taken.get(entry.channel_id)
+                        if channel is not None:
+                            yield Record(*channel, entry.log_time, entry.data)
+                    else:
+                        channels.add(entry)
+            except InvalidMagic:
+                if entry is None:
+                    raise RunFileError(f"{file} is no MCAP file; {_REMEDY}") from None
+            except _DAMAGE as error:
+                damaged += not isinstance(error, EndOfFile)
+        self.troubles += [f"{file}: {topic} is not read, its encoding is not cdr" for topic in sorted(channels.foreign)]
+        if damaged:
+            self.troubles.append(f"{file}: {damaged} damaged chunk{'s' if damaged > 1 else ''} left out")
+        if not isinstance(entry, Footer):
+            self.troubles.append(f"{file} is not complete: its recorder was killed, or the file was cut off")
+
+    def _bag(self, file: Path, wanted: frozenset[str] | None) -> Iterator[Record]:
+        try:
+            with BagReader(file) as reader:
+                connections = [each for each in reader.connections if wanted is None or each.topic in wanted]
+                if connections:
+                    for connection, time_ns, data in reader.messages(connections):
+                        yield Record(connection.topic, connection.msgtype, time_ns, data)
+        except ReaderError as error:
+            raise RunFileError(f"{file}: {error}; {_REMEDY}") from None
+
+
+class _Channels:
+    """Topics of an MCAP file.
+
+    Parameters
+    ----------
+    wanted : frozenset of str, optional
+        Topics to read; default: all.
+    """
+
+    def __init__(self, wanted: frozenset[str] | None) -> None:
+        self._wanted = wanted
+        self._types: dict[int, str] = {}
+        self.taken: dict[int, tuple[str, str]] = {}  # topic and type by number, of the channels to read
+        self.foreign: set[str] = set()  # topics in another encoding
+
+    def add(self, entry: object) -> None:
+        """Take notice of a schema or a channel."""
+        if isinstance(entry, Schema):
+            self._types[entry.id] = entry.name
+        elif isinstance(entry, Channel):
+            if entry.message_encoding != MessageEncoding.CDR:
+                self.foreign.add(entry.topic)
+            elif self._wanted is None or entry.topic in self._wanted:
+                self.taken[entry.id] = (entry.topic, self._types.get(entry.schema_id, ""))
+
+
+def _messages(data: bytes, channels: _Channels) -> Iterator[Record]:
+    """Messages of an uncompressed chunk: as `mcap.stream_reader.breakup_chunk`, in a fifth of the time."""
+    at, size, taken = 0, len(data), channels.taken
+    while at < size:
+        code, length = _ENTRY.unpack_from(data, at)
+        at += _ENTRY.size
+        if code == Opcode.MESSAGE:
+            number, _, time_ns, _ = _MESSAGE.unpack_from(data, at)
+            if number in taken:
+                yield Record(*taken[number], time_ns, data[at + _MESSAGE.size : at + length])
+        elif code in (Opcode.SCHEMA, Opcode.CHANNEL):
+            kind = Schema if code == Opcode.SCHEMA else Channel
+            channels.add(kind.read(ReadDataStream(BytesIO(data[at : at + length]))))
+        at += length
+
+
+def segments(path: Path) -> list[Path]:
+    """Existing files of a recording, oldest first.
+
+    Parameters
+    ----------
+    path : Path
+        That of the recording, which is also that of its first segment; a later segment stands for itself.
+    """
+    found = path.parent.glob(f"*{path.suffix}")
+    later = (file for file in found if file != path and _split(file)[0] == path.stem)
+    return [*([path] if path.exists() else []), *sorted(later, key=_split)]
+
+
+def segment(path: Path, number: int) -> Path:
+    """Path of a segment of a recording; the first one is number 0."""
+    return path if number == 0 else path.with_name(f"{path.stem}_{number}{path.suffix}")
+
+
+def _split(file: Path) -> tuple[str, int]:
+    """Name of the recording, and number of the segment."""
+    name, _, number = file.stem.rpartition("_")
+    return (name, int(number)) if name and number.isdecimal() else (file.stem, 0)

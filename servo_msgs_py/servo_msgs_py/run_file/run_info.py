@@ -1,0 +1,98 @@
+"""What ran in a recording: the document of the topic `topics.RUN_INFO`.
+
+It is JSON in a ``std_msgs/String``, published again when something changes. Unknown members are ignored, and missing
+ones are not known.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Final
+
+from servo_msgs_py.text_file import TextFileError, parse_json
+
+FORMAT: Final = 1
+"""Version of the document; a reader refuses a higher one."""
+
+
+class RunInfoError(ValueError):
+    """The document is damaged or too new; the text has the reason and a remedy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualBoard:
+    """What a virtual board is, as its program reports it."""
+
+    level: str  # of the model: registers or ideal
+    seed: int  # of the sensor noise
+    speed: float = 1.0  # simulated seconds per second
+    baud: float = 0.0  # speed of its serial line [bit/s]
+    plant: str = ""  # all values of the plant, TOML as in plant.toml
+    flash: str = ""  # SHA-256 of the data flash at power-on; empty: erased
+    build: str = ""  # SHA-256 of the compiled board: firmware and model
+    faults: tuple[str, ...] = ()  # injected faults
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunInfo:
+    """What ran; see the members."""
+
+    software: str = ""  # version of this project
+    catalogue: str = ""  # hash of the table of variables of the bridge, 8 hexadecimal digits
+    board: Mapping[str, str] = field(default_factory=dict)  # identification: name, version, build; empty: not connected
+    tick_ns: int = 0  # period of the ticks of the board [ns]
+    parameters: Mapping[str, Sequence[int]] = field(default_factory=dict)  # of the board, raw numbers by name
+    configuration: Sequence[Mapping[str, int]] = ()  # block by axis, raw numbers by member; empty: not known
+    bridge: Mapping[str, Any] = field(default_factory=dict)  # parameters of the node of the bridge
+    virtual_board: VirtualBoard | None = None  # None: a real board, or not known
+
+    def text(self) -> str:
+        """JSON document."""
+        return json.dumps({"format": FORMAT, **asdict(self)}, separators=(",", ":"))
+
+
+def run_info(text: str) -> RunInfo:
+    """Read a document.
+
+    Raises
+    ------
+    RunInfoError
+        If it is damaged, or of a later version.
+    """
+    try:
+        table = parse_json(text)
+        version = table["format"]
+        if version > FORMAT:
+            raise RunInfoError(f"the run info has format {version}, newer than {FORMAT}; use a newer version")
+        virtual = table.get("virtual_board")
+        if virtual is not None:
+            table["virtual_board"] = VirtualBoard(
+                **{**_known(VirtualBoard, virtual), "faults": tuple(virtual.get("faults", ()))}
+            )
+        return RunInfo(**_known(RunInfo, table))
+    except (TextFileError, TypeError, KeyError, AttributeError) as error:
+        raise RunInfoError(f"the run info is damaged: {error!r}; record again") from None
+
+
+def string_of(data: bytes) -> str:
+    """Text of a serialised ``std_msgs/String``.
+
+    Raises
+    ------
+    RunInfoError
+        If it is damaged.
+    """
+    try:
+        order = "<" if data[1] & 1 else ">"
+        (size,) = struct.unpack_from(f"{order}I", data, 4)
+        return data[8 : 8 + size - 1].decode()
+    except (IndexError, struct.error, UnicodeDecodeError):
+        raise RunInfoError("the message is no string; record again") from None
+
+
+def _known(kind: type[Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    names = {each.name for each in fields(kind)}
+    return {name: value for name, value in table.items() if name in names}

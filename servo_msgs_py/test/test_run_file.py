@@ -1,0 +1,233 @@
+"""Recordings: what is written can be read, by this project and by others, however it was cut off."""
+
+from __future__ import annotations
+
+import random
+import resource
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rosbags.interfaces import ConnectionExtRosbag2, QosDurability
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
+from servo_msgs_py.run_file.reader import Record, RunFileError, RunReader, segment
+from servo_msgs_py.run_file.run_info import RunInfo, RunInfoError, VirtualBoard, run_info, string_of
+from servo_msgs_py.run_file.writer import RunWriter, Topic, UnknownTypeError
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STATE = Topic("/servo/state", "std_msgs/msg/String", depth=1, latched=True)
+RATE = Topic("/servo/var/u_dc", "std_msgs/msg/Float64")
+START_NS = 1_700_000_000_000_000_000
+
+
+def messages(count: int, start: int = 0) -> list[Record]:
+    """Messages of two topics, 10 ms apart, with a clock that jumps back once."""
+    string, number = STORE.types[STATE.type], STORE.types[RATE.type]
+    result = []
+    for k in range(start, start + count):
+        topic, value = (STATE, string(f"state {k}")) if k % 5 == 0 else (RATE, number(k / 8))
+        time_ns = START_NS + k * 10_000_000 - (3_600_000_000_000 if k > 40 else 0)
+        result.append(Record(topic.name, topic.type, time_ns, bytes(STORE.serialize_cdr(value, topic.type))))
+    return result
+
+
+def write(path: Path, records: list[Record], per_chunk: int = 10) -> list[int]:
+    """Write a recording; returns the size of the file after every chunk."""
+    sizes = []
+    with RunWriter(path) as writer:
+        for k, record in enumerate(records, 1):
+            writer.write(STATE if record.topic == STATE.name else RATE, record.data, record.time_ns)
+            if k % per_chunk == 0:
+                writer.flush()
+                sizes.append(writer.size)
+    return sizes
+
+
+def bag(path: Path, records: list[Record], storage: StoragePlugin, compression: CompressionMode | None = None) -> None:
+    """Write a bag as others do."""
+    writer = BagWriter(path, version=9, storage_plugin=storage)
+    if compression is not None:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        connections = {t.name: writer.add_connection(t.name, t.type, typestore=STORE) for t in (STATE, RATE)}
+        for record in records:
+            writer.write(connections[record.topic], record.time_ns, record.data)
+
+
+def test_what_is_written_is_read_in_the_same_order(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "run.mcap"
+    write(path, messages(95))
+    reader = RunReader(path)
+    assert list(reader.records()) == messages(95)
+    assert list(reader.records([STATE.name])) == [each for each in messages(95) if each.topic == STATE.name]
+    assert reader.troubles == []
+
+
+def test_other_readers_read_it_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write(path, messages(95))
+    expected = sorted(messages(95), key=lambda each: each.time_ns)
+    with path.open("rb") as stream:
+        found = [
+            Record(channel.topic, schema.name, message.log_time, message.data)
+            for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
+            if schema is not None
+        ]
+    assert found == expected
+    with Reader(path) as reader:
+        durabilities = {
+            each.topic: each.ext.offered_qos_profiles[0].durability
+            for each in reader.connections
+            if isinstance(each.ext, ConnectionExtRosbag2)
+        }
+        texts = [
+            getattr(STORE.deserialize_cdr(data, connection.msgtype), "data")  # noqa: B009 (generated types)
+            for connection, _, data in reader.messages(reader.connections)
+            if connection.topic == STATE.name
+        ]
+        definition = next(each.msgdef.data for each in reader.connections if each.topic == STATE.name)
+    assert durabilities == {STATE.name: QosDurability.TRANSIENT_LOCAL, RATE.name: QosDurability.VOLATILE}
+    assert texts == [string_of(each.data) for each in expected if each.topic == STATE.name]
+    assert "string data" in definition
+
+
+def test_a_file_cut_off_anywhere_is_read_up_to_its_last_flush(tmp_path: Path) -> None:
+    whole, part = tmp_path / "run.mcap", tmp_path / "part.mcap"
+    sizes = write(whole, messages(90))
+    content = whole.read_bytes()
+    cuts = random.Random(1).sample(range(sizes[0], sizes[-1]), 100) + sizes
+    for cut in cuts:
+        part.write_bytes(content[:cut])
+        reader = RunReader(part)
+        chunks = sum(size <= cut for size in sizes)
+        assert list(reader.records()) in (messages(10 * chunks), messages(10 * (chunks + 1)))  # without its index
+        assert "not complete" in reader.troubles[-1]
+
+
+def test_a_damaged_chunk_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    sizes = write(path, messages(90))
+    content = bytearray(path.read_bytes())
+    content[sizes[3] + 100] ^= 0x10
+    path.write_bytes(content)
+    reader = RunReader(path)
+    assert list(reader.records()) == messages(40) + messages(40, 50)
+    assert reader.troubles == [f"{path}: 1 damaged chunk left out"]
+
+
+@contextmanager
+def disk_of(size: int) -> Iterator[None]:
+    """Files do not grow beyond a size [bytes], as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_leaves_what_was_complete(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    sizes = write(tmp_path / "other.mcap", messages(90))
+    with pytest.raises(OSError, match=r"run\.mcap"), disk_of(sizes[3] + 50):
+        write(path, messages(90))
+    assert path.stat().st_size == sizes[3]
+    assert list(RunReader(path).records()) == messages(40)
+
+
+def test_nothing_is_overwritten_and_a_type_without_definition_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with RunWriter(path) as writer, pytest.raises(UnknownTypeError, match="own_msgs/msg/Own"):
+        writer.write(Topic("/own", "own_msgs/msg/Own"), b"", 0)
+    with pytest.raises(FileExistsError, match=r"run\.mcap"):
+        RunWriter(path)
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+@pytest.mark.parametrize("compression", [None, CompressionMode.MESSAGE, CompressionMode.FILE])
+def test_bags_of_others_are_read(tmp_path: Path, storage: StoragePlugin, compression: CompressionMode | None) -> None:
+    expected = messages(40)
+    bag(tmp_path / "bag", expected, storage, compression)
+    reader = RunReader(tmp_path / "bag")
+    assert list(reader.records()) == expected
+    assert list(reader.records([RATE.name])) == [each for each in expected if each.topic == RATE.name]
+    assert not [*reader.records(["/other"]), *reader.troubles]
+    if compression is None:
+        (tmp_path / "bag" / "metadata.yaml").unlink()  # its recorder was killed
+        assert list(RunReader(tmp_path / "bag").records()) == expected
+
+
+def test_segments_are_one_recording(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    for number in range(12):
+        write(segment(path, number), messages(3, 3 * number))
+    write(tmp_path / "run_2024.mcap", messages(5))
+    reader = RunReader(path)
+    assert list(reader.records()) == messages(36)
+    assert reader.troubles == [f"{tmp_path}/run_2024.mcap does not continue {tmp_path}/run_11.mcap and is left out"]
+    path.unlink()
+    segment(path, 1).unlink()
+    assert list(RunReader(path).records()) == messages(30, 6)
+    assert list(RunReader(segment(path, 7)).records()) == messages(3, 21)
+
+
+def test_files_that_the_metadata_lists_are_read_in_its_order(tmp_path: Path) -> None:
+    for name, start in (("b", 0), ("a", 40)):
+        write(tmp_path / f"{name}.mcap", messages(40, start))
+    listed = "relative_file_paths: [b.mcap, a.mcap, c.mcap]"
+    (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {listed}\n")
+    reader = RunReader(tmp_path)
+    assert list(reader.records()) == messages(80)
+    assert reader.troubles == [f"{tmp_path}/c.mcap, which metadata.yaml lists, is missing"]
+
+
+def test_other_encodings_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_message(writer.register_channel("/json", "json", 0), 1, b"{}", 1)
+        writer.finish()
+    reader = RunReader(path)
+    assert list(reader.records()) == []
+    assert reader.troubles == [f"{path}: /json is not read, its encoding is not cdr"]
+
+
+def test_what_cannot_be_read_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    (tmp_path / "text.mcap").write_text("no recording, but long enough to have a head")
+    (tmp_path / "text.db3").write_text("no recording")
+    for name, text in {
+        "none.mcap": "no such recording; give",
+        "run.bag": "rosbags-convert",
+        "run.csv": "give a .mcap",
+        "text.mcap": "is no MCAP file; give",
+        "text.db3": "text.db3: Cannot open database",
+        ".": "several recordings; give one: text.db3, text.mcap",
+    }.items():
+        with pytest.raises(RunFileError, match=text):
+            list(RunReader(tmp_path / name).records())
+    shutil.rmtree(tmp_path)
+    tmp_path.mkdir()
+    with pytest.raises(RunFileError, match="contains no recording"):
+        RunReader(tmp_path)
+
+
+def test_run_info_is_read_as_written() -> None:
+    board = VirtualBoard(level="ideal", seed=3, plant="[axis1]", faults=("phase open",))
+    info = RunInfo(software="0.1.0", parameters={"param.host_timeout": [5]}, configuration=({"pole_pairs": 4},))
+    for each in (info, replace(info, virtual_board=board)):
+        assert run_info(each.text()).text() == each.text()
+    assert run_info('{"format":1,"later":true}') == RunInfo()
+    for text, problem in (("{", "damaged"), ("[]", "damaged"), ("{}", "damaged"), ('{"format":2}', "newer version")):
+        with pytest.raises(RunInfoError, match=problem):
+            run_info(text)
+    for data in (b"", b"\0\1\0\0\5", b"\0\1\0\0\3\0\0\0\xff\xff\0"):
+        with pytest.raises(RunInfoError, match="no string"):
+            string_of(data)
