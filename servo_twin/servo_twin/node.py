@@ -9,37 +9,30 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from servo_msgs_py.axis_config import AxisConfigError
-from servo_msgs_py.blocks_message import blocks_from_message
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import (
-    applied_from_message,
     diagnostic_array,
     diagnostic_status,
     joint_state,
     joint_state_from_values,
-    parameters_from_message,
     snapshot_message,
-    snapshot_table,
-    trace_from_message,
     trace_message,
 )
 from servo_msgs_py.joints import Joint, joint_names
-from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
-from std_msgs.msg import Bool, Float64, Float64MultiArray, Int64MultiArray, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
@@ -49,6 +42,7 @@ from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estim
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
 from servo_twin.diagnosis.thresholds import ThresholdsError
 from servo_twin.level import chosen_level
+from servo_twin.lockstep.board_topics import BOARD_TOPICS, BoardTopic
 from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
@@ -181,90 +175,32 @@ class ServoTwin(Node):
 
     def _subscribe(self) -> None:
         board, deep = self._board_namespace, telemetry_qos(200)
-        applied = f"{board}/{topics.COMMANDS_APPLIED}"
-        self.create_subscription(Float64MultiArray, f"{board}/{topics.SNAPSHOT}", self._on_snapshot, deep)
-        self.create_subscription(Int64MultiArray, applied, self._on_applied, deep)
-        parameters = f"{board}/{topics.PARAMETERS}"
-        self.create_subscription(Float64MultiArray, parameters, self._on_parameters, latched_qos())
-        windings = f"{board}/{topics.WINDING_TEMPERATURES}"
-        self.create_subscription(Float64MultiArray, windings, self._on_windings, latched_qos())
-        self.create_subscription(Int64MultiArray, f"{board}/{topics.TUNING}", self._on_tuning, latched_qos())
+        for topic in BOARD_TOPICS:
+            callback = partial(self._on_board, topic)
+            qos = latched_qos() if topic.latched else deep
+            self.create_subscription(topic.message, f"{board}/{topic.name}", callback, qos)
         self.create_subscription(DiagnosticStatus, f"{board}/{topics.LINK}", self._on_link, latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, self._on_description, latched_qos())
 
-        recorder, recording = f"{board}/{topics.RECORDER}", f"{board}/{topics.RECORDING}"
-        self.create_subscription(Float64MultiArray, recorder, self._on_recorder, latched_qos())
-        self.create_subscription(Float64MultiArray, recording, self._on_recording, latched_qos())
-
     # ---- input
-    def _on_snapshot(self, message: Float64MultiArray) -> None:
-        try:
-            columns, table = snapshot_table(message)
-        except ValueError as error:
-            self._log.warning(f"{self._board_namespace}/{topics.SNAPSHOT}: {error}", throttle_duration_sec=10.0)
-            return
-        self._worker.add_samples(columns, table)
-
-    def _on_applied(self, message: Int64MultiArray) -> None:
-        try:
-            command = applied_from_message(message)
-        except ValueError as error:
-            self._log.warning(str(error), throttle_duration_sec=10.0)
-            return
-        self._worker.add_command(command)
-
-    def _on_parameters(self, message: Float64MultiArray) -> None:
-        try:
-            values = parameters_from_message(message, self._catalogue)
-        except ValueError as error:
+    def _on_board(self, topic: BoardTopic, message: Any) -> None:
+        if topic.name == topics.TUNING:
             with self._lock:
-                self._parameter_error = f"invalid parameters of the board: {error}"
-            self._log.warning(self._parameter_error)
-            return
-        with self._lock:
-            self._parameter_error = ""
-        self._worker.set_parameters(values)
-
-    def _on_windings(self, message: Float64MultiArray) -> None:
-        span = self._catalogue[f"{axis_name(0)}.winding_temperature"]
-        values = [float(value) for value in message.data]
-        if len(values) != AXES or not all(span.minimum <= value <= span.maximum for value in values):
-            self._log.warning(
-                f"{self._board_namespace}/{topics.WINDING_TEMPERATURES}: {values} are not {AXES} valid temperatures"
-            )
-            return
-        self._worker.set_windings(values)
-
-    def _on_recorder(self, message: Float64MultiArray) -> None:
+                self._configured = True
+            self._publish_changes()
+        problem = ""
         try:
-            setup = setup_from_message(message)
+            topic.take(self._worker, message, self._catalogue)
         except ValueError as error:
-            self._log.warning(f"{self._board_namespace}/{topics.RECORDER}: {error}")
-            return
-        self._worker.set_recorder(setup)
-
-    def _on_recording(self, message: Float64MultiArray) -> None:
-        try:
-            points = trace_from_message(message)
-            if "tick" not in points.columns or not len(points) or not np.isfinite(points["tick"]).all():
-                raise ValueError("recording without ticks")
-        except ValueError as error:
-            self._log.warning(f"{self._board_namespace}/{topics.RECORDING}: {error}")
-            return
-        self._worker.add_burst(message.layout.dim[0].label, points)
-
-    def _on_tuning(self, message: Int64MultiArray) -> None:
-        with self._lock:
-            self._configured = True
-        self._publish_changes()
-        try:
-            blocks = blocks_from_message(message)
-        except AxisConfigError as error:
-            self._log.warning(f"invalid configuration of the board: {error}")
-            return
-        if blocks:  # otherwise the bridge could not read them; those of the firmware are assumed
-            self._worker.set_blocks(blocks)
+            problem = f"{self._board_namespace}/{topic.name}: {error}"
+            if topic.latched:
+                self._log.warning(problem)
+            else:
+                self._log.warning(problem, throttle_duration_sec=10.0)
+        if topic.name == topics.PARAMETERS:
+            with self._lock:
+                self._parameter_error = problem
 
     def _on_description(self, message: String) -> None:
         try:
