@@ -17,9 +17,12 @@ from rosbags.interfaces import ConnectionExtRosbag2, QosDurability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
-from servo_msgs_py.run_file.reader import Record, RunFileError, RunReader, segment
+from servo_msgs_py.run_file.reader import Record, RunFileError, RunReader
 from servo_msgs_py.run_file.run_info import RunInfo, RunInfoError, VirtualBoard, run_info, string_of
-from servo_msgs_py.run_file.writer import RunWriter, Topic, UnknownTypeError
+from servo_msgs_py.run_file.series import segment
+from servo_msgs_py.run_file.series_writer import SEGMENTS, Limits, SeriesWriter
+from servo_msgs_py.run_file.topic import Topic
+from servo_msgs_py.run_file.writer import RunWriter, UnknownTypeError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE = Topic("/servo/state", "std_msgs/msg/String", depth=1, latched=True)
@@ -178,6 +181,46 @@ def test_segments_are_one_recording(tmp_path: Path) -> None:
     assert list(RunReader(segment(path, 7)).records()) == messages(3, 21)
 
 
+def series(path: Path, limits: Limits, count: int, free: int = 10**12) -> None:
+    """Record messages 10 ms apart, flushed every 0.1 s."""
+    writer = SeriesWriter(path, limits, lambda _: free)
+    try:
+        for k, record in enumerate(messages(count)):
+            writer.write(STATE if record.topic == STATE.name else RATE, record.data, record.time_ns)
+            if k % 10 == 9:
+                writer.flush(k * 0.01, record.time_ns)
+    finally:
+        writer.close()
+
+
+def test_the_oldest_segments_go_at_the_size_limit(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    series(path, Limits(size=40_000), 2000)
+    assert 30_000 < sum(file.stat().st_size for file in tmp_path.iterdir()) < 40_000
+    assert not path.exists()
+    records = list(RunReader(path).records())
+    assert records[0].topic == STATE.name  # the last message before the segment
+    kept = [each for each in records if each.topic == RATE.name]
+    assert kept == [each for each in messages(2000) if each.topic == RATE.name][-len(kept) :]
+
+
+def test_the_oldest_segments_go_at_the_time_limit(tmp_path: Path) -> None:
+    series(tmp_path / "run.mcap", Limits(duration=2.0), 2000)
+    kept = sum(each.topic == RATE.name for each in RunReader(tmp_path / "run.mcap").records()) * 10e-3 / 0.8
+    assert 2.0 <= kept <= 2.0 * (1 + 2 / SEGMENTS)
+
+
+def test_a_recording_ends_complete_before_the_disk_is_full(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with pytest.raises(OSError, match=r"MB are free: '.*run\.mcap'"):
+        series(path, Limits(), 40, free=10_000)
+    reader = RunReader(path)
+    assert list(reader.records()) == messages(10)
+    assert reader.troubles == []
+    with pytest.raises(FileExistsError, match=r"run\.mcap"):
+        SeriesWriter(path)
+
+
 def test_files_that_the_metadata_lists_are_read_in_its_order(tmp_path: Path) -> None:
     for name, start in (("b", 0), ("a", 40)):
         write(tmp_path / f"{name}.mcap", messages(40, start))
@@ -186,6 +229,18 @@ def test_files_that_the_metadata_lists_are_read_in_its_order(tmp_path: Path) -> 
     reader = RunReader(tmp_path)
     assert list(reader.records()) == messages(80)
     assert reader.troubles == [f"{tmp_path}/c.mcap, which metadata.yaml lists, is missing"]
+
+
+def test_lost_messages_are_said(tmp_path: Path) -> None:
+    path, lost = tmp_path / "run.mcap", Topic("/servo/run_lost", "std_msgs/msg/UInt64")
+    with RunWriter(path) as writer:
+        for count in (3, 700):
+            data = STORE.serialize_cdr(STORE.types[lost.type](count), lost.type)
+            writer.write(lost, bytes(data), START_NS)
+    reader = RunReader(path)
+    assert list(reader.records([STATE.name])) == []
+    assert reader.troubles == ["the recorder has lost 700 messages because the computer was too slow"]
+    assert [each.topic for each in reader.records()] == [lost.name] * 2
 
 
 def test_other_encodings_are_named(tmp_path: Path) -> None:

@@ -23,6 +23,9 @@ from rosbags.rosbag2 import Reader as BagReader
 from rosbags.rosbag2 import ReaderError
 from zstandard import ZstdError
 
+from servo_msgs_py.run_file.series import segment, segments, split
+from servo_msgs_py.topics import RUN_LOST
+
 _METADATA: Final = "metadata.yaml"
 _SUFFIXES: Final = (".mcap", ".db3")
 _REMEDY: Final = "give a .mcap or .db3 file, or the folder of a bag"
@@ -30,6 +33,8 @@ _REMEDY: Final = "give a .mcap or .db3 file, or the folder of a bag"
 _DAMAGE: Final = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError)
 """Errors of the libraries for damaged contents."""
 
+
+_LOST: Final = f"/{RUN_LOST}"
 
 _ENTRY: Final = struct.Struct("<BQ")
 """Head of an entry of a chunk: its code, and the length of the rest."""
@@ -90,8 +95,16 @@ class RunReader:
         """
         self.troubles = list(self._missing)
         wanted = None if topics is None else frozenset(topics)
+        lost = 0
         for file in self.files:
-            yield from self._mcap(file, wanted) if file.suffix == ".mcap" else self._bag(file, wanted)
+            for record in self._mcap(file, wanted) if file.suffix == ".mcap" else self._bag(file, wanted):
+                if record.topic.endswith(_LOST):
+                    lost = int.from_bytes(record.data[4:12], "little")
+                    if wanted is not None and record.topic not in wanted:
+                        continue
+                yield record
+        if lost:
+            self.troubles.append(f"the recorder has lost {lost} messages because the computer was too slow")
 
     # ---- files
     def _series(self, path: Path) -> list[Path]:
@@ -103,7 +116,7 @@ class RunReader:
         files = [file for file in segments(path) if path.suffix == ".mcap" or file == path]
         if not files:
             raise RunFileError(f"{path}: there is no such recording; {_REMEDY}")
-        first = _split(files[0])[1] if files[0] != path else 0
+        first = split(files[0])[1] if files[0] != path else 0
         count = next((k for k, file in enumerate(files) if file != segment(path, first + k)), len(files))
         self._missing += [f"{file} does not continue {files[count - 1]} and is left out" for file in files[count:]]
         return files[:count]
@@ -118,12 +131,12 @@ class RunReader:
         if files:
             return files
         found = [file for suffix in _SUFFIXES for file in folder.glob(f"*{suffix}")]
-        names = sorted({_split(file)[0] + file.suffix for file in found})
+        names = sorted({split(file)[0] + file.suffix for file in found})
         if not names:
             raise RunFileError(f"{folder} contains no recording; {_REMEDY}")
         if len(names) > 1:
             raise RunFileError(f"{folder} contains several recordings; give one: {', '.join(names)}")
-        return sorted(found, key=_split)
+        return sorted(found, key=split)
 
     def _metadata(self, folder: Path) -> Mapping[str, Any]:
         path = folder / _METADATA
@@ -201,7 +214,7 @@ class _Channels:
         elif isinstance(entry, Channel):
             if entry.message_encoding != MessageEncoding.CDR:
                 self.foreign.add(entry.topic)
-            elif self._wanted is None or entry.topic in self._wanted:
+            elif self._wanted is None or entry.topic in self._wanted or entry.topic.endswith(_LOST):
                 self.taken[entry.id] = (entry.topic, self._types.get(entry.schema_id, ""))
 
 
@@ -219,27 +232,3 @@ def _messages(data: bytes, channels: _Channels) -> Iterator[Record]:
             kind = Schema if code == Opcode.SCHEMA else Channel
             channels.add(kind.read(ReadDataStream(BytesIO(data[at : at + length]))))
         at += length
-
-
-def segments(path: Path) -> list[Path]:
-    """Existing files of a recording, oldest first.
-
-    Parameters
-    ----------
-    path : Path
-        That of the recording, which is also that of its first segment; a later segment stands for itself.
-    """
-    found = path.parent.glob(f"*{path.suffix}")
-    later = (file for file in found if file != path and _split(file)[0] == path.stem)
-    return [*([path] if path.exists() else []), *sorted(later, key=_split)]
-
-
-def segment(path: Path, number: int) -> Path:
-    """Path of a segment of a recording; the first one is number 0."""
-    return path if number == 0 else path.with_name(f"{path.stem}_{number}{path.suffix}")
-
-
-def _split(file: Path) -> tuple[str, int]:
-    """Name of the recording, and number of the segment."""
-    name, _, number = file.stem.rpartition("_")
-    return (name, int(number)) if name and number.isdecimal() else (file.stem, 0)

@@ -4,45 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Final, NamedTuple
+from typing import Final
 
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import Writer
 
 from servo_msgs_py.output_file import named
 from servo_msgs_py.run_file.definitions import definition
+from servo_msgs_py.run_file.topic import Topic
 
 _CHUNK_BYTES: Final = 1 << 20
 """Size from which the library completes a chunk by itself [bytes]."""
 
 _LIBRARY: Final = "servo_msgs_py"
 
-_INFINITE: Final = "sec: 9223372036\n    nsec: 854775807"
-
 
 class UnknownTypeError(ValueError):
     """There is no definition of a message type; the text has its name."""
-
-
-class Topic(NamedTuple):
-    """A topic of a recording."""
-
-    name: str  # absolute, such as ``/servo/snapshot``
-    type: str  # such as ``std_msgs/msg/String``
-    depth: int = 50  # of the queue of its publisher
-    latched: bool = False  # whether a new subscriber receives the last messages
-
-    @property
-    def qos(self) -> str:
-        """Quality of service in the form of rosbag2, with which ``ros2 bag play`` publishes."""
-        durability = "transient_local" if self.latched else "volatile"
-        return (
-            f"- history: keep_last\n  depth: {self.depth}\n  reliability: reliable\n  durability: {durability}\n"
-            f"  deadline:\n    {_INFINITE}\n  lifespan:\n    {_INFINITE}\n  liveliness: automatic\n"
-            f"  liveliness_lease_duration:\n    {_INFINITE}\n  avoid_ros_namespace_conventions: false\n"
-        )
 
 
 class RunWriter:
@@ -72,19 +52,15 @@ class RunWriter:
             self._channels: dict[Topic, int] = {}
             self._sequences: dict[int, int] = {}
             self._kept = 0
+            self._failed = False
             self._writer.start(Profile.ROS2, _LIBRARY)
             self.flush()
 
     def __enter__(self) -> RunWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if isinstance(error, OSError):
-            self.abandon()
-        else:
-            self.close()
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
     @property
     def size(self) -> int:
@@ -109,7 +85,7 @@ class RunWriter:
         UnknownTypeError
             If the type of the topic is not known.
         """
-        with named(self._path):
+        with self._writing():
             channel = self._channels.get(topic) or self._channel(topic)
             self._sequences[channel] = sequence = self._sequences[channel] + 1
             self._writer.add_message(
@@ -118,26 +94,33 @@ class RunWriter:
 
     def flush(self) -> None:
         """Complete the chunk in progress and hand everything to the system."""
-        with named(self._path):
+        with self._writing():
             self._writer.flush()
             self._kept = self._stream.tell()
 
     def close(self) -> None:
-        """Complete the file; it is not complete if this fails."""
+        """Complete the file; after an error close it with what was completely written before."""
+        try:
+            if not self._failed:
+                with self._writing():
+                    self._writer.finish()
+                    self._stream.flush()
+                    self._kept = self._stream.tell()
+        finally:
+            with contextlib.suppress(OSError):
+                self._stream.close()
+            with contextlib.suppress(OSError):
+                os.truncate(self._path, self._kept)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """After an error the library would write a chunk again behind the part that is in the file."""
         try:
             with named(self._path):
-                self._writer.finish()
-                self._stream.flush()
-                self._kept = self._stream.tell()
-        finally:
-            self.abandon()
-
-    def abandon(self) -> None:
-        """Close the file after an error, without what was not completely written."""
-        with contextlib.suppress(OSError):
-            self._stream.close()
-        with contextlib.suppress(OSError):
-            os.truncate(self._path, self._kept)
+                yield
+        except OSError:
+            self._failed = True
+            raise
 
     def _channel(self, topic: Topic) -> int:
         known = definition(topic.type)
