@@ -16,6 +16,7 @@ import pytest
 from chain import DOMAIN, ros_user
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
+from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, executable
@@ -152,6 +153,13 @@ def test_demonstration_moves_records_and_draws_where_board_time_is_slow(tmp_path
     verify = [str(executable("rerun")), "rrd", "verify", str(tmp_path / "demo.rrd")]
     assert subprocess.run(verify, capture_output=True, check=False).returncode == 0
     assert left_behind(str(tmp_path)) == []
+
+
+def test_folder_of_a_running_servo_up_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with claimed(tmp_path):
+        assert main(["--out", str(tmp_path)]) == 1
+    assert f"{tmp_path} is used by another running program" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("status", "drawn"), [(0, True), (1, False), (2, False)])

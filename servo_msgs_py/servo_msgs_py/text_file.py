@@ -55,11 +55,24 @@ def read_text(path: Path, bytes_max: int = BYTES_MAX) -> str:
     OSError
         If it cannot be read.
     """
+    return decoded(read_bytes(path, bytes_max))
+
+
+def read_bytes(path: Path, bytes_max: int) -> bytes:
+    """Read a file of a bounded size; a device may have no end.
+
+    Raises
+    ------
+    TextFileError
+        If it is larger.
+    OSError
+        If it cannot be read.
+    """
     with path.open("rb") as file:
         data = file.read(bytes_max + 1)
     if len(data) > bytes_max:
         raise TextFileError(f"it has more than {bytes_max} bytes, the largest size; choose a smaller file")
-    return decoded(data)
+    return data
 
 
 def parse_toml(text: str) -> dict[str, Any]:

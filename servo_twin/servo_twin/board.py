@@ -63,6 +63,9 @@ _FIRMWARE: Final[Mapping[Level, _Firmware]] = {
     "ideal": _Firmware(_ideal_module.ffi, _ideal_module.lib),
 }
 
+FLASH_BYTES: Final = int(_ideal_module.lib.board_flash_size())
+"""Size of `Board.flash_image`."""
+
 _IDLE: Final = (1 << 64) - 1
 _OUT_OF_RANGE: Final = 0x97  # FreeMASTER status: value outside the range of the variable
 
@@ -186,8 +189,8 @@ class Board:
         self.catalogue = catalogue or Catalogue.load()
         config = _native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud)
         if flash is not None:
-            if len(flash) != self._lib.board_flash_size():
-                raise ValueError(f"the flash image has {len(flash)} bytes instead of {self._lib.board_flash_size()}")
+            if len(flash) != FLASH_BYTES:
+                raise ValueError(f"the flash image has {len(flash)} bytes instead of {FLASH_BYTES}")
             config.flash = self._ffi.from_buffer("uint8_t[]", flash)  # board_new copies the image
         if servo is not None:
             native = servo.native(self._ffi)  # kept until board_new has copied it
@@ -494,7 +497,7 @@ class Board:
 
         ``np.frombuffer(image, "<u4")`` has 8192 words and 32 counts.
         """
-        image = bytearray(self._lib.board_flash_size())
+        image = bytearray(FLASH_BYTES)
         self._lib.board_flash_image(self._board, self._ffi.from_buffer("uint8_t[]", image, require_writable=True))
         return bytes(image)
 

@@ -20,6 +20,7 @@ from typing import Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.quantity import Quantity
+from servo_msgs_py.runtime.claim import ClaimError, claimed
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.node_name import taken
 from servo_msgs_py.runtime.program import Interrupted, deferred, program
@@ -315,7 +316,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     record = args.out / _RECORDING if args.demo else args.record
     try:
-        return _session(args, environment, record)
+        with claimed(args.out.resolve()):
+            return _session(args, environment, record)
+    except ClaimError as error:
+        _print(f"servo-up: {error}")
+        return 1
     except Interrupted as interruption:
         return interruption.status if args.demo else 0
 

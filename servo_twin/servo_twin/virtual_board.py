@@ -7,25 +7,27 @@ It replaces a real board at a USB serial port without changes of the host. `Pace
 from __future__ import annotations
 
 import argparse
+import contextlib
 import errno
 import os
 import select
-import stat
 import sys
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, Protocol
 
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.program import complain, deferred, program
+from servo_msgs_py.text_file import TextFileError, read_bytes
 
 from servo_msgs_py import argument
-from servo_twin.board import Board
+from servo_twin.board import FLASH_BYTES, Board
 from servo_twin.level import Level, add_level_option
-from servo_twin.plant import PlantConfig, PlantError
+from servo_twin.plant import PlantConfig
 
 MAX_LAG_S: Final = 0.05
 """Largest backlog that is caught up; a longer one is skipped and counted as a slip [s]."""
@@ -35,6 +37,8 @@ IDLE_SLICE_S: Final = 0.002
 
 REPORT_INTERVAL_S: Final = 10.0
 """Shortest time between two slip warnings [s]."""
+
+_TERMINALS: Final = "/dev/pts/"  # folder of the pseudo-terminals
 
 FIRST_REPORT_S: Final = 1.0
 """Averaging time before the first slip warning [s]."""
@@ -106,13 +110,23 @@ class FlashFile:
 
     Raises
     ------
+    ValueError
+        If it is no image of a flash.
     OSError
         If the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._kept = path.read_bytes() if path.exists() else None
+        self._kept: bytes | None = None
+        if not path.exists():
+            return
+        if not path.is_file():
+            raise ValueError(f"{path} is not a regular file; choose another name")
+        with contextlib.suppress(TextFileError):  # too large
+            self._kept = read_bytes(path, FLASH_BYTES)
+        if self._kept is None or len(self._kept) != FLASH_BYTES:
+            raise ValueError(f"{path} is no image of a flash, which has {FLASH_BYTES} bytes; choose another file")
 
     @property
     def image(self) -> bytes | None:
@@ -135,15 +149,20 @@ class Terminal:
     Parameters
     ----------
     link : Path, optional
-        Path of the link. An existing link to a terminal, or a broken link, is replaced; other files are not.
+        Path of the link. The link of a terminal that has ended is replaced; other files and links are not.
 
     Raises
     ------
     LinkError
         If the link cannot be created.
+    ClaimError
+        If it is the link of another `Terminal`.
     """
 
     def __init__(self, link: Path | None = None) -> None:
+        self._claim = contextlib.ExitStack()
+        if link is not None:
+            self._claim.enter_context(claimed(link))
         self._master, self._slave = os.openpty()
         self._link = link
         self.lost = 0  # bytes discarded because no client read them
@@ -173,6 +192,7 @@ class Terminal:
             if end >= 0:
                 os.close(end)
         self._master = self._slave = -1
+        self._claim.close()
 
     def __enter__(self) -> Terminal:
         return self
@@ -204,13 +224,11 @@ class Terminal:
 
 
 def _make_link(link: Path, device: str) -> None:
-    """Create or replace a symbolic link to a device atomically."""
+    """Create a symbolic link to a device, or replace that of a terminal, atomically."""
     try:
         if link.is_symlink():
-            if link.exists() and not stat.S_ISCHR(link.stat().st_mode):
-                raise LinkError(
-                    f"{link} is a link to {os.readlink(link)}, which is not a terminal; choose another name"
-                )
+            if not os.readlink(link).startswith(_TERMINALS):
+                raise LinkError(f"{link} is a link to {os.readlink(link)}; choose another name or remove it")
         elif link.exists():
             raise LinkError(f"{link} exists and is not a link; choose another name or remove it")
         temporary = link.with_name(f".{link.name}.{os.getpid()}")
@@ -356,36 +374,40 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Command ``virtual_board``; returns its exit status."""
     options = _parser().parse_args(argv)
-    try:
-        flash = FlashFile(options.flash) if options.flash else None
-        board = Board(
-            PlantConfig.load(options.plant),
-            seed=options.seed,
-            baud=options.baud,
-            level=options.level,
-            flash=flash.image if flash else None,
-        )
-    except (PlantError, ValueError) as error:
-        return _print_error(str(error), 2)
-    except OSError as error:
-        return _print_error(f"{error.filename or options.plant}: {error.strerror}", 2)
-    try:
-        with board, deferred() as stop, Terminal(options.link) as line:
-            where = f"{options.link} -> {line.device}" if options.link else line.device
-            what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
-            print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
-            pacer = Pacer(time.monotonic_ns(), speed=options.speed)
-            update_flash = _flash_updater(board, flash)
-            serve(board, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=update_flash)
-            print(
-                f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
-                f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
+    with contextlib.ExitStack() as owned:
+        try:
+            flash = owned.enter_context(_flash_file(options.flash)) if options.flash else None
+            board = owned.enter_context(
+                Board(
+                    PlantConfig.load(options.plant),
+                    seed=options.seed,
+                    baud=options.baud,
+                    level=options.level,
+                    flash=flash.image if flash else None,
+                )
             )
-    except LinkError as error:
-        return _print_error(str(error), 2)
-    except OSError as error:
-        return _print_error(str(error), 1)
+            stop = owned.enter_context(deferred())
+            line = owned.enter_context(Terminal(options.link))
+        except (LinkError, ValueError) as error:
+            return _print_error(str(error), 2)
+        update_flash = _flash_updater(board, flash)
+        where = f"{options.link} -> {line.device}" if options.link else line.device
+        what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
+        print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
+        pacer = Pacer(time.monotonic_ns(), speed=options.speed)
+        serve(board, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=update_flash)
+        print(
+            f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
+            f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
+        )
     return 0
+
+
+@contextlib.contextmanager
+def _flash_file(path: Path) -> Iterator[FlashFile]:
+    """Flash file that no other board uses; a link stands for its file."""
+    with claimed(Path(os.path.realpath(path))):
+        yield FlashFile(path)
 
 
 def _flash_updater(board: Board, flash: FlashFile | None) -> Callable[[], None]:

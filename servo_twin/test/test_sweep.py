@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from servo_msgs_py.runtime.claim import claimed
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -328,6 +329,13 @@ def test_invalid_options_are_reported(tmp_path: Path, capsys: pytest.CaptureFixt
         assert sweep(*words, "--out", str(tmp_path / "none")) == 1
         assert message in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
+
+
+def test_results_of_a_running_sweep_are_not_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with claimed(tmp_path / RESULTS):
+        assert sweep(*VARY, "--count", "5", "--out", str(tmp_path), "--resume") == 1
+    assert f"{tmp_path / RESULTS} is used by another running program" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_interrupted_sweep_keeps_its_results_and_continues(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve, slip_reporter
 
@@ -248,13 +249,23 @@ class TestTerminal:
         assert not link.is_symlink()
         assert list(tmp_path.iterdir()) == []
 
-    def test_dangling_links_and_links_to_terminals_are_replaced(self, tmp_path: Path) -> None:
+    def test_link_of_a_terminal_that_has_ended_is_replaced(self, tmp_path: Path) -> None:
         link = tmp_path / "servo"
-        link.symlink_to("/dev/pts/does-not-exist")
-        with Terminal(link) as first:
-            with Terminal(link) as second:
-                assert os.readlink(link) == second.device != first.device
-            assert not link.is_symlink()
+        with Terminal() as reused:  # by another program, after that which made the link
+            for device in ("/dev/pts/does-not-exist", reused.device):
+                link.symlink_to(device)
+                with Terminal(link) as line:
+                    assert os.readlink(link) == line.device != device
+                assert not link.is_symlink()
+
+    def test_link_of_a_running_board_is_refused_and_stays(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        link = tmp_path / "servo"
+        with Terminal(link) as line:
+            assert main(["--link", str(link)]) == 2
+            assert f"{link} is used by another running program" in capsys.readouterr().err
+            assert os.readlink(link) == line.device
 
     def test_a_link_replaced_by_another_program_is_kept(self, tmp_path: Path) -> None:
         link = tmp_path / "servo"
@@ -268,10 +279,13 @@ class TestTerminal:
         file.write_text("data")
         to_file = tmp_path / "link"
         to_file.symlink_to(file)
+        to_port = tmp_path / "port"
+        to_port.symlink_to("/dev/null")
         for link, reason in [
             (file, "is not a link"),
             (tmp_path, "is not a link"),
-            (to_file, "not a terminal"),
+            (to_file, f"is a link to {file}"),
+            (to_port, "is a link to /dev/null"),
             (tmp_path / "no" / "servo", "folder does not exist"),
         ]:
             with pytest.raises(LinkError, match=reason):
@@ -371,6 +385,32 @@ class TestProgram:
 def test_wrong_options_exit_with_2(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [(0, "is no image of a flash"), (100, "is no image"), (10**12, "is no image"), (None, "is not a regular file")],
+)
+def test_file_that_is_no_flash_image_is_refused_without_reading_it_all(
+    size: int | None, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "flash"
+    if size is None:
+        file.symlink_to("/dev/zero")
+    else:
+        file.touch()
+        os.truncate(file, size)  # without the memory for it
+    assert main(["--flash", str(file)]) == 2
+    assert f"{file} {message}" in capsys.readouterr().err
+
+
+def test_flash_file_of_a_running_board_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, other = tmp_path / "flash", tmp_path / "other"
+    other.symlink_to(file)
+    with claimed(file):
+        assert main(["--flash", str(other)]) == 2
+    assert f"{file} is used by another running program" in capsys.readouterr().err
+    assert not file.exists()
 
 
 @pytest.mark.parametrize("arguments", [["--speed", "0"], ["--speed", "nan"], ["--frobnicate"]])

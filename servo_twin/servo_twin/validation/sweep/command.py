@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.argument import ParagraphFormatter
+from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.program import Interrupted
 from servo_tuning.reading import SERVO_TOML
 
@@ -159,7 +160,7 @@ def _run(args: argparse.Namespace) -> int:
         return _show(sweep, args.trial)
     space = sweep.space
     status = 0
-    with Store(args.out, _head(sweep), space.count, args.resume) as store:
+    with claimed(args.out / RESULTS), Store(args.out, _head(sweep), space.count, args.resume) as store:
         begin, before = time.monotonic(), len(store)
         try:
             with contextlib.closing(Runner.of(args).run(sweep, store.missing, "sweep, trials")) as results:
