@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_tuning.errors import ConfigError, Problem, Remedy, problem, refused
+from servo_tuning.errors import ConfigError, Entry, Problem, Remedy, problem, refused
 from servo_tuning.members import MEMBERS, read_members
 from servo_tuning.motor import Motor
 from servo_tuning.passwords import password_entries
@@ -130,9 +130,9 @@ class Axis:
         group, key = path.split(".")
         return key in self.groups[group]
 
-    def entry(self, path: str) -> str:
-        """Full name of an entry, with its group if it is in [defaults]."""
-        return _place(self.name, path, self.inherited)
+    def entry(self, path: str, quantity: str = "") -> Entry:
+        """Place of an entry, or of a quantity that is computed from it."""
+        return _entry(self.name, path, self.inherited, quantity)
 
     def refused(self, path: str, reason: str, *remedies: Remedy | str) -> ConfigError:
         """Error about one entry of this axis; remedies as for `named`."""
@@ -199,13 +199,13 @@ class Axis:
         features = check_switches(f"{name}.features", groups.pop("features"), feature_names)
         origin = frozenset(inherited)
         stops = Stops.extract(
-            groups["stop"], fault_names, lambda key: _place(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
+            groups["stop"], fault_names, lambda key: _entry(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
         )
         switches = {key: groups["pins"].pop(key) for key in PINS if key in groups["pins"]}
         pins = check_switches(f"{name}.pins", switches, PINS)
         checked = {
             group: check_group(
-                f"{name}.{group}", group, entries, {key: _place(name, f"{group}.{key}", origin) for key in entries}
+                f"{name}.{group}", group, entries, {key: _entry(name, f"{group}.{key}", origin) for key in entries}
             )
             for group, entries in groups.items()
         }
@@ -218,9 +218,8 @@ def _feedback(where: str, value: object) -> str:
     return value
 
 
-def _place(axis: str, path: str, inherited: Collection[str]) -> str:
-    suffix = f" (in [defaults.{path.split('.')[0]}])" if path in inherited else ""
-    return f"{axis}.{path}{suffix}"
+def _entry(axis: str, path: str, inherited: Collection[str], quantity: str = "") -> Entry:
+    return Entry(f"{axis}.{path}", path.split(".")[0] if path in inherited else "", quantity)
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def _sensing(to: Converter) -> dict[str, Value]:
             "board.timer_clock: speed per count and clock", per_ratio, (either("board.timer_clock"),)
         ),
         f"{search}.current_step": Fraction(
-            axis.entry("rotor_search.ramp_time") + ": current per slow tick",
+            axis.entry("rotor_search.ramp_time", "current per slow tick"),
             axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
             (axis.named(either("rotor_search.ramp_time")),),
         ),
@@ -219,7 +219,7 @@ def friction_constants(to: Converter) -> dict[str, Value]:
         "friction.viscous": to.at("friction.viscous", s.speed / k_t / s.i),
         "friction.smooth": to.at("friction.smooth", 1.0 / s.speed),
         "friction.slope": Fraction(
-            axis.entry("friction.smooth") + ": slope", s.speed / smooth, (axis.named(either("friction.smooth")),)
+            axis.entry("friction.smooth", "slope"), s.speed / smooth, (axis.named(either("friction.smooth")),)
         ),
     }
 

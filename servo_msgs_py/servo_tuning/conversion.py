@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from servo_tuning.configuration import Axis, Board, Scales
-from servo_tuning.errors import Remedy, higher, lower
+from servo_tuning.errors import Entry, Remedy, higher, lower
 from servo_tuning.formats import member_format
 from servo_tuning.gains import Pi
 
@@ -41,7 +41,7 @@ AxisConstants = Mapping[str, Field]
 class Fraction:
     """Value of a member before it is rounded to an integer."""
 
-    entry: str  # full name of the entry, or of the quantity computed from several entries; for the refusal
+    entry: Entry | str  # the entry, or the name of the quantity computed from several entries; for the refusal
     value: float  # as a fraction of full scale, or in raw units
     remedies: tuple[Remedy | str, ...] = ()  # for the refusal; of an entry: to lower it, and to raise it
     given: float | None = None  # of an entry that `value` is proportional to: its value in the configuration

@@ -6,7 +6,6 @@ values by trying.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,24 @@ EXACT: Final = 0
 _VERBS: Final[Mapping[tuple[int, ...], str]] = {(RAISE,): "raise", (LOWER,): "lower"}
 
 Table = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Place of a value in a configuration, for messages."""
+
+    name: str  # full name, such as axis1.motor.inertia
+    group: str = ""  # group of [defaults] that has the entry; empty: the axis itself
+    quantity: str = ""  # what is computed from the entry; empty: the entry itself
+
+    @property
+    def subject(self) -> str:
+        """Name of the entry, or of the quantity computed from it."""
+        return f"{self.name}: {self.quantity}" if self.quantity else self.name
+
+    def __str__(self) -> str:
+        place = f" (in [defaults.{self.group}])" if self.group else ""
+        return f"{self.name}{place}: {self.quantity}" if self.quantity else f"{self.name}{place}"
 
 
 @dataclass(frozen=True)
@@ -34,15 +51,19 @@ class Remedy:
         """Imperative text; `refused`: entry that the sentence is about."""
         own = self.entry == refused
         if self.value is None:
-            name = "it" if own else self.entry
             verb = _VERBS.get(self.directions, "correct")
-            return f"{verb} {name}"
+            return f"{verb} {'it' if own else self.entry}"
+        return f"write {self._number() if own and self.also is None else self._assignment()}"
+
+    def _number(self) -> str:
+        assert self.value is not None, self.entry
         sign = -1 if self.value < 0.0 else 1
         bound = {RAISE: " or more", LOWER: " or less", EXACT: ""}[sign * self.directions[0]]
-        plain = own and self.also is None
-        name = "" if plain else f"{self.entry} " if self.entry.startswith("--") else f"{self.entry} = "
-        other = f" and {self.also.text().removeprefix('write ')}" if self.also is not None else ""
-        return f"write {name}{self.value:g}{bound}{other}"
+        return f"{self.value:g}{bound}"
+
+    def _assignment(self) -> str:
+        other = f" and {self.also._assignment()}" if self.also is not None else ""
+        return f"{self.entry}{' ' if self.entry.startswith('--') else ' = '}{self._number()}{other}"
 
 
 def higher(entry: str, value: float | None = None) -> Remedy:
@@ -79,13 +100,13 @@ class Problem:
         return f"{self.fact}; {', or '.join(texts)}" if texts else self.fact
 
 
-def problem(entry: str, value: object, reason: str, *remedies: Remedy | str) -> Problem:
+def problem(entry: Entry | str, value: object, reason: str, *remedies: Remedy | str) -> Problem:
     """Problem of one entry: entry, value, reason, remedies.
 
     Parameters
     ----------
-    entry : str
-        Full name, such as ``axis1.motor.inertia``; it may be followed by its place in parentheses.
+    entry : Entry or str
+        The entry, or its full name, such as ``axis1.motor.inertia``.
     value : object
         Its value, or a value computed from it.
     reason : str
@@ -96,7 +117,8 @@ def problem(entry: str, value: object, reason: str, *remedies: Remedy | str) -> 
     shown = f"{value:g}" if isinstance(value, float) else f"{value}"
     changes = tuple(one for one in remedies if isinstance(one, Remedy))
     advice = ", or ".join(one for one in remedies if isinstance(one, str))
-    return Problem(f"{entry} = {shown}: {reason}", re.sub(r" \(in [^)]*\)", "", entry), changes, advice)
+    subject = entry.subject if isinstance(entry, Entry) else entry
+    return Problem(f"{entry} = {shown}: {reason}", subject, changes, advice)
 
 
 class ConfigError(ValueError):
@@ -108,7 +130,7 @@ class ConfigError(ValueError):
         super().__init__(str(self.problem))
 
 
-def refused(entry: str, value: object, reason: str, *remedies: Remedy | str) -> ConfigError:
+def refused(entry: Entry | str, value: object, reason: str, *remedies: Remedy | str) -> ConfigError:
     """Error about one entry; arguments as for `problem`."""
     return ConfigError(problem(entry, value, reason, *remedies))
 

@@ -9,13 +9,13 @@ from typing import Final
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.quantity import Quantity
 
-from servo_tuning.errors import Remedy, refused
+from servo_tuning.errors import Entry, Remedy, refused
 
 
 class FixedPoint(Quantity):
     """Fraction of a full scale as an integer of the firmware."""
 
-    def raw(self, entry: str, value: float, *remedies: Remedy | str, given: float | None = None) -> int:
+    def raw(self, entry: Entry | str, value: float, *remedies: Remedy | str, given: float | None = None) -> int:
         """Return the nearest raw number.
 
         Parameters

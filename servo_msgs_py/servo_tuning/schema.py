@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from servo_msgs_py.quantity import ABOVE_0, VALUE_MAX, Quantity
 
-from servo_tuning.errors import ConfigError, refused
+from servo_tuning.errors import ConfigError, Entry, refused
 
 
 def _entry(
@@ -23,7 +23,7 @@ def _entry(
     return Quantity(unit=unit, text=text, minimum=minimum, maximum=maximum, whole=whole, optional=optional)
 
 
-def checked_number(entry: Quantity, name: str, value: object) -> float:
+def checked_number(entry: Quantity, name: Entry | str, value: object) -> float:
     """Return a valid value of an entry.
 
     Raises
@@ -251,7 +251,7 @@ SCHEMA: Final[Mapping[str, Mapping[str, Quantity]]] = {"board": BOARD, **BOARD_G
 """Every group and its keys; a group must have all keys that are not optional, and no others."""
 
 
-def unknown_name(where: str, name: str, known: Collection[str]) -> ConfigError:
+def unknown_name(where: Entry | str, name: str, known: Collection[str]) -> ConfigError:
     """Error about an unknown name, with the closest known name or all known names."""
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
@@ -281,7 +281,7 @@ def _check_names(where: str, names: Iterable[str], known: Collection[str]) -> No
             raise ConfigError(f"{where}.{name} is missing; add it to [{where}]")
 
 
-def check_group(where: str, group: str, value: object, places: Mapping[str, str] | None = None) -> dict[str, float]:
+def check_group(where: str, group: str, value: object, places: Mapping[str, Entry] | None = None) -> dict[str, float]:
     """Check a group: exactly its keys, each with a number in its range; SI units as in `SCHEMA`.
 
     Parameters
@@ -293,7 +293,7 @@ def check_group(where: str, group: str, value: object, places: Mapping[str, str]
     value : object
         Parsed group.
     places : mapping, optional
-        Full names of the entries for messages, where they differ from ``where.key``.
+        The entries by key, for messages; omitted: all are in the group itself.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def check_group(where: str, group: str, value: object, places: Mapping[str, str]
         raise unknown_name(where, group, SCHEMA)
     entries, known = check_table(where, value), SCHEMA[group]
     _check_names(where, entries, known)
-    names = {key: f"{where}.{key}" for key in known} | dict(places or {})
+    names = places or {key: Entry(f"{where}.{key}") for key in known}
     return {key: checked_number(entry, names[key], entries[key]) for key, entry in known.items() if key in entries}
 
 

@@ -87,10 +87,10 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Value]:
     slower = axis.named(either("observer.pll_size"))
     return {
         "pll.amplitude_gain": Fraction(
-            axis.entry("observer.pll_size") + ": speed", amplitude_gain * per_emf, (slower,)
+            axis.entry("observer.pll_size", "speed"), amplitude_gain * per_emf, (slower,)
         ),
         "pll.amplitude_load_gain": Fraction(
-            axis.entry("observer.pll_size") + ": load", amplitude_load_gain * per_emf, (slower,)
+            axis.entry("observer.pll_size", "load"), amplitude_load_gain * per_emf, (slower,)
         ),
         "pll.offset_gain": to.of("back-EMF per step of the PLL", board.tick / AMPLITUDE_OFFSET_TIME / per_emf, _MOTOR),
         "pll.kp": to.of("PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), pll_i),
@@ -103,12 +103,12 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Value]:
         "pll.step_per_speed": to.of("rotation per period at full speed", 2.0**32 * turn, "fewer motor.pole_pairs"),
         "pll.counts_per_turn": to.of("counts per electrical turn", axis.counts / p, _MOTOR),
         "pll.acceleration": Fraction(
-            axis.entry("observer.pll_torque") + ": change of the rotation per period in a tick",
+            axis.entry("observer.pll_torque", "change of the rotation per period in a tick"),
             2.0**32 * acceleration,
             (axis.named(either("observer.pll_torque")), "correct motor.inertia or motor.psi_m"),
         ),
         "pll.load_gain": Fraction(
-            axis.entry("observer.pll_load") + ": change in a tick",
+            axis.entry("observer.pll_load", "change in a tick"),
             pll.load * omega_n**3 * _steps_per_acceleration(board) * board.tick,
             (axis.named(either("observer.pll_load")),),
         ),

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from servo_msgs_py.stop_categories import CATEGORIES, REFUSED
 
-from servo_tuning.errors import refused
+from servo_tuning.errors import Entry, refused
 from servo_tuning.schema import unknown_name
 
 COMMANDS: Final = ("disable", "quick_stop")
@@ -27,7 +27,7 @@ class Stops:
         cls,
         group: MutableMapping[str, Any],
         fault_names: Collection[str],
-        place: Callable[[str], str],
+        place: Callable[[str], Entry],
         numbers: Collection[str],
     ) -> Stops:
         """Remove the categories from the group, so that only its numbers remain.
@@ -39,7 +39,7 @@ class Stops:
         fault_names : collection of str
             Faults of the contract, lower case.
         place : callable
-            Returns the full name of an entry, for messages.
+            Returns an entry by its key, for messages.
         numbers : collection of str
             Keys that are not categories.
 
@@ -69,7 +69,7 @@ def _remedy(categories: Collection[str]) -> str:
     return f"write {' or '.join(categories)}"
 
 
-def _category(entry: str, key: str, value: object) -> str:
+def _category(entry: Entry, key: str, value: object) -> str:
     if not isinstance(value, str) or value not in CATEGORIES:
         raise refused(entry, repr(value), "not a stop category", _remedy(CATEGORIES))
     no = REFUSED.get(key, {})
