@@ -337,7 +337,7 @@ class Assembly:
         self.pace_keep_alive()
 
     def _on_fault_record(self, record: FaultRecord) -> None:
-        self._error(f"{self._joints[record.axis]}: {record.summary()}")
+        self._error(f"{self._joints[record.axis]}: first fault {record.summary()}")
         self.publications.fault_record(record)
 
     def _info(self, text: str) -> None:

@@ -49,7 +49,7 @@ class Commander(Client):
         self._catalogue = Catalogue.load()
         self._armed: list[bool] = []  # whether set-points are accepted, as received
         self._texts: list[str] = []  # states for people, as received
-        self._lost: list[str] = []  # why no board is connected, as received; empty: one is
+        self._links: list[DiagnosticStatus] = []  # as received
 
     def _part(self, name: str) -> str:
         """Name of a status of the bridge in /diagnostics."""
@@ -118,8 +118,8 @@ class Commander(Client):
         run = self._catalogue.enums["state_t"]["RUN"]
 
         def off() -> bool:
-            if self._lost[-1]:
-                raise CommandError(f"the board was lost before its outputs were off: {self._lost[-1]}")
+            if not self._connected:
+                raise CommandError(f"the board was lost before its outputs were off: {self._links[-1].message}")
             return bool(newest) and all(newest[f"{axis_name(axis)}.state"] != run for axis in range(AXES))
 
         if not self.holds(off, self.timeout):
@@ -162,14 +162,16 @@ class Commander(Client):
     def watch(self) -> None:
         """Receive the state from now on; returns when it is known."""
         if not self._armed:
-            self.create_subscription(DiagnosticStatus, self.of(topics.LINK), self._on_link, latched_qos())
+            self.create_subscription(DiagnosticStatus, self.of(topics.LINK), self._links.append, latched_qos())
             self.create_subscription(Bool, self.of(topics.ARMED), lambda m: self._armed.append(m.data), latched_qos())
             self.create_subscription(String, self.of(topics.STATE), lambda m: self._texts.append(m.data), latched_qos())
-        received = self._armed, self._texts, self._lost
+        received = self._armed, self._texts, self._links
         self.wait_for(lambda: all(received), f"no {self.of(topics.ARMED)} was received")
 
-    def _on_link(self, message: DiagnosticStatus) -> None:
-        self._lost.append("" if message.level == DiagnosticStatus.OK else message.message)
+    @property
+    def _connected(self) -> bool:
+        """Whether the bridge has a board; after `watch`."""
+        return bool(self._links[-1].level == DiagnosticStatus.OK)
 
     def require_armed(self) -> None:
         """Raise `CommandError` if set-points are not accepted any more; after `watch`."""
@@ -187,7 +189,7 @@ class Commander(Client):
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())
         self.watch()
         text = self._texts[-1]
-        if self._lost[-1]:
+        if not self._connected:
             return text, "the board is not connected"
         self.wait_for(lambda: joints, f"no {self.of(topics.JOINT_STATES)} were received")
         last = joints[-1]
@@ -254,8 +256,8 @@ class Commander(Client):
             After the timeout, or if there is no board.
         """
         self.watch()
-        if self._lost[-1]:
-            raise CommandError(f"the board is not connected: {self._lost[-1]}")
+        if not self._connected:
+            raise CommandError(f"the board is not connected: {self._links[-1].message}")
         received: list[RawParameters] = []
 
         def take(message: Float64MultiArray) -> None:
@@ -296,9 +298,9 @@ class Commander(Client):
         answer = self._call(SetParameters, SetParameters.Request(parameters=[parameter]), bridge + "set_parameters")
         (result,) = answer.results
         if not result.successful:
-            raise CommandError(f"set was refused: {result.reason.removeprefix(f'parameter {_LIST}: ')}")
+            raise CommandError(f"set was refused: {result.reason}")
         self.watch()
-        if self._lost[-1]:
+        if not self._connected:
             return "the board is not connected; the parameters are set after the connection"
         reports: list[DiagnosticArray] = []
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())

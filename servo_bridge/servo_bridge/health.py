@@ -197,7 +197,7 @@ class Health:
         if (pins := snapshot.values.get(f"{prefix}.inputs")) is not None:
             values["inputs"] = ", ".join(f.name for f in self._catalogue.active("inputs", int(pins))) or "none"
         if record is not None and record.fault is not None:
-            values["first fault"] = record.summary().removeprefix("first fault ")
+            values["first fault"] = record.summary()
             values["first fault tick"] = record.tick
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
             values[f"{column} [{unit}]"] = _number(snapshot.values[f"{prefix}.{column}"])

@@ -53,6 +53,15 @@ _REASONS: Final = {
 }
 
 
+_MIRRORED: Final = {
+    "stop_positive": "stop_negative",
+    "stop_negative": "stop_positive",
+    "switch_positive": "switch_negative",
+    "switch_negative": "switch_positive",
+}
+"""Methods of a joint that rotates against its motor."""
+
+
 def with_home_states(columns: Sequence[str]) -> list[str]:
     """Columns of a sample after `Homing.completed`."""
     return list(dict.fromkeys([*columns, *_COLUMNS]))
@@ -228,9 +237,7 @@ class Homing(Part):
     def _of_motor(joint: Joint, method: str) -> str:
         """Method in the direction of the motor."""
         if joint.direction < 0:
-            swapped = {"positive": "negative", "negative": "positive"}
-            kind, _, direction = method.partition("_")
-            method = f"{kind}_{swapped[direction]}" if direction else method
+            method = _MIRRORED.get(method, method)
         return method.upper()
 
     # ---- details

@@ -40,9 +40,10 @@ def snapshot(context: Context) -> int:
 
 
 def _print(record: FaultRecord, context: Context) -> None:
-    print(f"{axis_name(record.axis)}: {record.summary()}")
     if record.fault is None:
+        print(f"{axis_name(record.axis)}: {record.summary()}")
         return
+    print(f"{axis_name(record.axis)}: first fault {record.summary()}")
     print("  " + "; ".join(flag_texts(context.catalogue, "faults", record.fault.mask)))
     columns = {name: values for name, values in record.samples.columns.items() if name != "time"}
     rows = zip(1e3 * record.samples["time"], *columns.values(), strict=True)

@@ -21,6 +21,7 @@ from servo_tuning.sensors import EdgeDelay, edge_delay
 
 from servo_measurement.access import BoardAccess
 
+_CURRENT_AXES: Final[Mapping[str, str]] = {"current": "q", "current_d": "d"}
 _GRID: Final = 200
 
 
@@ -56,7 +57,7 @@ class Prediction:
     @property
     def nyquist(self) -> float:
         """Highest frequency [Hz]."""
-        return 0.5 / (PERIOD if self.loop.startswith("current") else TICK)
+        return 0.5 / (PERIOD if self.loop in _CURRENT_AXES else TICK)
 
     @property
     def _shaft(self) -> ShaftLoops:
@@ -69,8 +70,8 @@ class Prediction:
         return edge_delay(COUNTS_PER_TURN / 4.0, TICK, abs(self.speed))
 
     def _open(self, omega: Omega) -> NDArray[np.complex128]:
-        if self.loop.startswith("current"):
-            return self.loops.current_loop("d" if self.loop == "current_d" else "q").open.response(omega)
+        if self.loop in _CURRENT_AXES:
+            return self.loops.current_loop(_CURRENT_AXES[self.loop]).open.response(omega)
         if self.loop == "speed":
             return self._shaft.speed_open(omega, self._delay)
         return self._shaft.position_open(omega)

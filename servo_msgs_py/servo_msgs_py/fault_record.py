@@ -73,7 +73,7 @@ class FaultRecord:
         """Fault, state, time, speed, current and bus voltage as text."""
         if self.fault is None:
             return "no fault"
-        text = f"first fault {self.fault.name} in {self.place}, {self.seconds:.4f} s after reset"
+        text = f"{self.fault.name} in {self.place}, {self.seconds:.4f} s after reset"
         if not len(self.samples):
             return text
         last = {name: float(column[-1]) for name, column in self.samples.columns.items()}

@@ -26,9 +26,14 @@ def phase(margins: Margins) -> str:
     return "-" if margins.phase is None else f"{margins.phase:.1f} deg"
 
 
+def ratio(value: float | None) -> str:
+    """Text of a gain margin (ratio)."""
+    return "-" if value is None else f"{value:.2f}"
+
+
 def factor(value: float | None) -> str:
     """Text of a gain margin (ratio), also in dB."""
-    return "-" if value is None else f"{value:.2f} ({20.0 * math.log10(value):.1f} dB)"
+    return "-" if value is None else f"{ratio(value)} ({20.0 * math.log10(value):.1f} dB)"
 
 
 def notes(rows: Sequence[tuple[str, str, str]]) -> Iterator[str]:

@@ -86,9 +86,7 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Value]:
     amplitude_gain, amplitude_load_gain = pll.size_gains(board.tick)
     slower = axis.named(either("observer.pll_size"))
     return {
-        "pll.amplitude_gain": Fraction(
-            axis.entry("observer.pll_size", "speed"), amplitude_gain * per_emf, (slower,)
-        ),
+        "pll.amplitude_gain": Fraction(axis.entry("observer.pll_size", "speed"), amplitude_gain * per_emf, (slower,)),
         "pll.amplitude_load_gain": Fraction(
             axis.entry("observer.pll_size", "load"), amplitude_load_gain * per_emf, (slower,)
         ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from servo_tuning.layout import factor, hertz, notes, phase, table
+from servo_tuning.layout import hertz, notes, phase, ratio, table
 from servo_tuning.linear import Pole
 from servo_tuning.sensorless_figures import SensorlessFigures
 from servo_tuning.tuned import Tuned
@@ -95,7 +95,7 @@ def _locks(figures: SensorlessFigures) -> Iterator[str]:
                 f"{lock.slide_damping:.2f}",
                 hertz(lock.speed_margins.crossover),
                 phase(lock.speed_margins),
-                factor(lock.speed_margins.gain).split(" ")[0],
+                ratio(lock.speed_margins.gain),
                 ", ".join("stable" if good else "UNSTABLE" for good in stable),
             )
         )

@@ -37,7 +37,7 @@ from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
 from servo_twin.board import Board
-from servo_twin.diagnosis.monitor import SUPPLY, DiagnosisMonitor
+from servo_twin.diagnosis.monitor import DiagnosisMonitor
 from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estimate_text, finding_text, findings_text
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
 from servo_twin.diagnosis.thresholds import ThresholdsError
@@ -293,10 +293,11 @@ class ServoTwin(Node):
         for axis, name in [*enumerate(self._names()), (None, "bus")]:
             finding = findings.get(axis)
             text = self._no_finding_text() if finding is None else finding_text(finding, pair.tick, pair.stamp_ns)
-            prefix = "" if axis is None else f"{axis_name(axis)}."
             mine: dict[str, object] = {}
-            for key, one in estimates.items():
-                if (key == SUPPLY) == (axis is None) and key.startswith(prefix):
+            if finding is not None:
+                mine = {"kind": finding.kind.value, "changes": " ".join(finding.changes)}
+            for (place, _), one in estimates.items():
+                if place == axis:
                     mine[one.name] = estimate_text(one)
                     mine |= {f"{one.name}.{part}": f"{number:.6g}" for part, number in estimate_numbers(one).items()}
             level = DiagnosticStatus.OK if finding is None else DiagnosticStatus.WARN

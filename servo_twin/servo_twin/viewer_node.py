@@ -31,7 +31,7 @@ from std_msgs.msg import Bool, Float64MultiArray, Int64MultiArray, String
 from servo_msgs_py import topics
 from servo_twin.view import scene
 from servo_twin.view.recording import Recording, RecordingError
-from servo_twin.view.viewer import Viewer
+from servo_twin.view.viewer import Change, Viewer
 from servo_twin.view.web_page import WebPage, WebPageError, free_port
 
 PARAMETERS: Final = {
@@ -201,16 +201,17 @@ class ServoViewer(Node):
             self._viewer.diagnosis(stamp, status.name, status.level[0], status.message)
 
     def _on_diagnosis(self, message: DiagnosticArray) -> None:
-        found: list[str] = []
-        estimates: dict[str, dict[str, float]] = {}
+        found: list[Change] = []
+        estimates: dict[tuple[str, str], dict[str, float]] = {}
         for axis, status in enumerate(message.status):  # the joints in order, then the bus
             source = axis_name(axis) if axis < AXES else "bus"
             if status.level != DiagnosticStatus.OK:
-                found.append(f"{source}: {status.message}")
+                values = {entry.key: entry.value for entry in status.values}
+                found.append(Change(source, values.get("kind", ""), values.get("changes", ""), status.message))
             for entry in status.values:
                 name, dot, curve = entry.key.partition(".")
                 if dot:
-                    estimates.setdefault(f"{source}/{name}", {})[curve] = float(entry.value)
+                    estimates.setdefault((source, name), {})[curve] = float(entry.value)
         self._viewer.changes(from_stamp(message.header.stamp), found, estimates)
 
     def _every_second(self) -> None:

@@ -17,7 +17,7 @@ from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, findi
 from servo_twin.diagnosis.signal_monitor import MONITORED, SignalMonitor
 from servo_twin.diagnosis.signals import CHANGES, NEEDED, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds, ThresholdsError
-from servo_twin.diagnosis.trials import NOTHING, Change, HealthyRuns, Trials
+from servo_twin.diagnosis.trials import NOTHING, Change, HealthyRuns, Trials, Verdict
 from servo_twin.diagnosis.window import BLOCK, Rows
 from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.lockstep.twin import Pair
@@ -63,7 +63,7 @@ def test_a_change_is_found_with_30_percent_of_the_samples_missing() -> None:
 
 def test_a_healthy_pair_has_no_finding() -> None:
     answer = trials(seconds=60.0).run(3)
-    assert (answer.said, answer.false_alarms) == (NOTHING, ())
+    assert (answer.said, answer.false_alarms) == (Verdict(NOTHING), ())
 
 
 # ---- several changes, and unknown ones -------------------------------------------------------------------------------
@@ -273,7 +273,7 @@ def test_a_finding_is_withdrawn_after_the_change_and_estimates_are_constant_at_r
             for one in pair.sample():
                 monitor.update(one)
         at_rest = monitor.estimates()
-        del before["supply"], at_rest["supply"]
+        del before[(None, "supply")], at_rest[(None, "supply")]
         assert at_rest == before
         pair.board.set_plant("axis2.friction", PLANT.axes[1].friction)
         for one in motion.run(15.0):

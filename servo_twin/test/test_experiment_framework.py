@@ -59,7 +59,7 @@ class TestReport:
         update_summary(tmp_path, [outcome("a", 0.5), outcome("b", 0.5)])
         path = update_summary(tmp_path, [outcome("a", 9.0)])
         rows = json.loads(path.read_text())
-        assert {row["name"]: row["agrees"] for row in rows} == {"a: figure 0": False, "b: figure 0": True}
+        assert {row["experiment"]: row["agrees"] for row in rows} == {"a": False, "b": True}
 
     def test_a_picture_is_written_to_a_new_folder(self, tmp_path: Path) -> None:
         draw(outcome("a", 0.5), tmp_path / "new" / "a.png")
@@ -91,7 +91,7 @@ class TestLevels:
         pairs = levels.pairs(outcome("a", 0.5, 0.1), outcome("a", 0.6, 0.9)) + levels.pairs(
             outcome("b", 1), outcome("b", 1)
         )
-        assert levels.overview([pair.as_dict() for pair in pairs]).splitlines()[2:] == [
+        assert levels.overview(pairs).splitlines()[2:] == [
             "| `a` | 2 | 2 | figure 1 | 0.1 rpm | 0.9 rpm | <= 1 |",
             "| `b` | 1 | 1 | none differs |  |  |  |",
             "| all | 3 | 3 | | | | |",
@@ -139,7 +139,7 @@ class TestCommand:
     def test_json_is_all_of_the_output(self, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         picture = tmp_path / "p.png"
         assert cli.main(["experiment", "good", "--json", "--plot", str(picture)]) == 0
-        assert json.loads(capsys.readouterr().out)[0]["name"] == "good: figure 0"
+        assert json.loads(capsys.readouterr().out)[0]["experiment"] == "good"
         assert picture.is_file()
 
     @pytest.mark.parametrize("chosen", ["registers", "ideal", None])
@@ -170,13 +170,14 @@ class TestCommand:
         text = capsys.readouterr().out
         assert "2 of 3 figures agree at both levels" in text
         assert "does not agree: bad: figure 1\n" in text
-        rows = {row["name"]: row for row in json.loads((tmp_path / "levels.json").read_text())}
-        assert rows["bad: figure 0"] == {
-            "name": "bad: figure 0", "unit": "rpm", "difference": 0.5, "difference_max": 1.0, "agrees": True,
+        rows = {row["figure"]: row for row in json.loads((tmp_path / "levels.json").read_text())}
+        assert rows["figure 0"] == {
+            "experiment": "bad", "figure": "figure 0", "unit": "rpm",
+            "difference": 0.5, "difference_max": 1.0, "agrees": True,
             "ideal": {"measured": 0.25, "bound": "<= 1", "agrees": True},
             "registers": {"measured": 0.75, "bound": "<= 1", "agrees": True},
         }  # fmt: skip
-        assert rows["bad: figure 1"]["ideal"] is None
+        assert rows["figure 1"]["ideal"] is None
         assert cli.main(["experiment", "levels", "--only", "good", "--out", str(tmp_path)]) == 0
 
     def test_help_describes_the_experiment(self, capsys: pytest.CaptureFixture[str]) -> None:
@@ -194,4 +195,4 @@ class TestCommand:
         assert cli.main(["experiment", "all", "--out", str(tmp_path)]) == 1
         assert "axis1: no movement seen" in capsys.readouterr().out
         rows = json.loads((tmp_path / "summary.json").read_text())
-        assert {row["name"] for row in rows} == {"good: figure 0", "bad: can be run"}
+        assert {(row["experiment"], row["figure"]) for row in rows} == {("good", "figure 0"), ("bad", "can be run")}

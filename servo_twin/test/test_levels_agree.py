@@ -28,7 +28,7 @@ def test_experiments_agree_at_both_levels(name: str) -> None:
     ideal, registers = (run_experiments([name], PLANT, 1, quiet=True, level=level)[0] for level in LEVELS)
     pairs = levels.pairs(ideal, registers)
     assert len(pairs) >= 6
-    assert [pair.name for pair in pairs if not pair.agrees] == []
+    assert [pair.figure for pair in pairs if not pair.agrees] == []
 
 
 @pytest.mark.parametrize("level", LEVELS)

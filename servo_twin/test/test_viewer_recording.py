@@ -17,7 +17,7 @@ from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import Recording, RecordingError, read_scalars, read_texts
-from servo_twin.view.viewer import Viewer
+from servo_twin.view.viewer import Change, Viewer
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, points, stamp, telemetry, verify
 
 pytest.importorskip("rerun")
@@ -290,16 +290,17 @@ def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
 def test_diagnostics_are_logged_on_change(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         viewer.board(telemetry(move(samples=20)))
-        for level, message in (
-            (0, "163 samples/s"),
-            (0, "164 samples/s"),
-            (1, "in the last second: 2 timeouts"),
-            (1, "in the last second: 3 timeouts"),
-            (1, "in the last second: 3 crc errors"),
-            (0, "160 samples/s"),
+        for seconds, level, message in (
+            (0, 0, "163 samples/s"),
+            (1, 0, "164 samples/s"),
+            (2, 1, "in the last second: 2 timeouts"),
+            (3, 1, "in the last second: 3 timeouts"),
+            (12, 1, "in the last second: 3 crc errors"),
+            (30, 1, "in the last second: 3 crc errors"),
+            (31, 0, "160 samples/s"),
         ):
-            viewer.diagnosis(stamp(0), "servo_bridge: link", level, message)
-        viewer.diagnosis(stamp(0), "servo_bridge: board", 3, "silent")
+            viewer.diagnosis(START_NS + seconds * 1_000_000_000, "servo_bridge: link", level, message)
+        viewer.diagnosis(START_NS + 32_000_000_000, "servo_bridge: board", 3, "silent")
 
     record(feed)
     texts = [text.removeprefix("diagnostics: servo_bridge: ") for _, text in read_texts(file, "/log/diagnostics")]
@@ -315,9 +316,10 @@ def test_changes_are_states_and_estimates_are_curves(record: Record, file: Path)
     def feed(viewer: Viewer) -> None:
         viewer.board(telemetry(move(samples=500)))
         for k in range(8):
-            found = [f"axis2: friction {2.0 + 0.01 * k:.2f} times"] if k >= 4 else []
+            found = [Change("axis2", "single", "friction", f"friction {2.0 + 0.01 * k:.2f} times")] if k >= 4 else []
             numbers = {"value": 1.0 + 0.1 * k, "low": 0.9, "high": 2.0}
-            viewer.changes(START_NS + k * 250_000_000, found, {"axis2/friction": numbers, "bus/supply": numbers})
+            estimates = {("axis2", "friction"): numbers, ("bus", "supply"): numbers}
+            viewer.changes(START_NS + k * 250_000_000, found, estimates)
 
     record(feed)
     states = read_texts(file, scene.state_entity("diagnosis"), "StateChange:state")

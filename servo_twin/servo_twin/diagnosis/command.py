@@ -130,12 +130,12 @@ def summary(answers: Sequence[Answer]) -> str:
     """Confusion table with delays and coverage, and the false alarms."""
     rows = [["changed", "trials", "right", "delay [s]: median, 95 %, max", "interval right", "other"]]
     for name, said in confusion(answers).items():
-        mine = [answer for answer in answers if answer.truth.rpartition(" ")[2] == name and not answer.problem]
+        mine = [answer for answer in answers if answer.truth.change == name and not answer.problem]
         right = [answer for answer in mine if answer.said == answer.truth]
         delays = [answer.delay for answer in right if answer.delay is not None]
         times = "{:.2f} {:.2f} {:.2f}".format(*np.percentile(delays, (50, 95, 100))) if delays else ""
         held = f"{sum(answer.covered for answer in right)}/{len(right)}" if delays else ""
-        other = ", ".join(f"{text or 'not run'} {count}" for text, count in said.items() if text != name)
+        other = ", ".join(f"{text} {count}" for text, count in said.items() if text != name)
         rows.append([name, str(sum(said.values())), str(len(right)), times, held, other])
     lines = aligned(rows, "<>>>><")
     hours = sum(answer.seconds for answer in answers) / 3600.0

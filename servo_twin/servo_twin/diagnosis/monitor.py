@@ -144,14 +144,9 @@ class DiagnosisMonitor:
     def _detectors(self) -> list[tuple[int | None, ChangeDetector[AxisEquations] | ChangeDetector[float]]]:
         return [*enumerate(self.axes), (None, self.bus)]
 
-    def estimates(self) -> dict[str, Estimate]:
-        """Estimates by name, such as ``axis1.inertia`` or ``supply``."""
-        named = {
-            f"{axis_name(axis)}.{one.name}": one
-            for axis, detector in enumerate(self.axes)
-            for one in detector.estimates()
-        }
-        return named | {SUPPLY: self.bus.estimates()[0]}
+    def estimates(self) -> dict[tuple[int | None, str], Estimate]:
+        """Estimates by axis (None: the bus) and change."""
+        return {(axis, one.name): one for axis, detector in self._detectors() for one in detector.estimates()}
 
     def adapted(self, tick: int) -> PlantConfig | None:
         """Plant of the twin with all findings that are older than `_ADOPT_TIME`; None if nothing is to be adopted."""

@@ -22,6 +22,7 @@ from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
 NOTHING: Final = "nothing"
+SEVERAL_PLACES: Final = "several places"
 
 _BEFORE: Final = (3.0, 6.0)  # motion before the change, minimum and maximum [s]
 
@@ -53,9 +54,20 @@ class Change:
         """Name in the plant file."""
         return PLANT_VALUES[self.name] if self.name == SUPPLY else f"{axis_name(axis)}.{PLANT_VALUES[self.name]}"
 
-    def place(self, axis: int) -> str:
-        """Name in `Answer.truth`."""
-        return SUPPLY if self.name == SUPPLY else f"{axis_name(axis)} {self.name}"
+    def verdict(self, axis: int) -> Verdict:
+        """The right verdict about this change of an axis."""
+        return Verdict(self.name, None if self.name == SUPPLY else axis)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What has changed, and where."""
+
+    change: str  # key of `PLANT_VALUES`, value of another `Kind`, `NOTHING` or `SEVERAL_PLACES`
+    axis: int | None = None  # index; None: the bus, nothing or several places
+
+    def __str__(self) -> str:
+        return self.change if self.axis is None else f"{axis_name(self.axis)} {self.change}"
 
 
 @dataclass(frozen=True)
@@ -63,8 +75,8 @@ class Answer:
     """Result of a trial."""
 
     number: int
-    truth: str  # true change, such as ``axis1 friction``; `NOTHING` if there was none
-    said: str  # finding at the end of the trial
+    truth: Verdict  # true change
+    said: Verdict | None  # finding at the end of the trial; None: the trial was not run
     delay: float | None  # from the change to the first report of the final, right finding [s]; None: wrong
     value: float  # estimated change, relative or [N m]
     covered: bool  # true if the interval contains the true value
@@ -73,15 +85,13 @@ class Answer:
     problem: str = ""  # error that ended the trial; empty: none
 
 
-def _said(findings: Sequence[LocatedFinding]) -> str:
+def _said(findings: Sequence[LocatedFinding]) -> Verdict:
     if not findings:
-        return NOTHING
+        return Verdict(NOTHING)
     if len(findings) > 1:
-        return "several places"
+        return Verdict(SEVERAL_PLACES)
     axis, finding = findings[0].axis, findings[0].finding
-    if finding.kind is Kind.SINGLE:
-        return finding.changes[0] if axis is None else f"{axis_name(axis)} {finding.changes[0]}"
-    return str(finding.kind.value)
+    return Verdict(finding.changes[0], axis) if finding.kind is Kind.SINGLE else Verdict(finding.kind.value)
 
 
 @dataclass(frozen=True)
@@ -102,7 +112,7 @@ class Trials:
         draw = random.Random(f"trial {seed}")
         change = self.changes[number % len(self.changes)] if self.changes else None
         axis = draw.randrange(AXES)
-        truth = NOTHING if change is None else change.place(axis)
+        truth = Verdict(NOTHING) if change is None else change.verdict(axis)
         monitor = DiagnosisMonitor(self.plant, self.thresholds)
         try:
             with BoardPair(self.plant, self.plant, seed=seed, level=self.level, loss=self.loss) as pair:
@@ -134,12 +144,12 @@ class Trials:
                     before,
                 )
         except SimulationError as error:
-            return Answer(number, truth, "", None, 0.0, False, (), 0.0, str(error))
+            return Answer(number, truth, None, None, 0.0, False, (), 0.0, str(error))
 
 
 def _follow(
     monitor: DiagnosisMonitor, motion: Motion, seconds: float, pair: BoardPair
-) -> tuple[float, tuple[str, ...], str]:
+) -> tuple[float, tuple[str, ...], Verdict]:
     """Time of the last new finding [s], all findings, and the last finding."""
     said, since, all_said = _said(monitor.findings()), pair.time, []
     for one in motion.run(seconds):
@@ -147,7 +157,7 @@ def _follow(
             now = _said(monitor.findings())
             if now != said:
                 said, since = now, pair.time
-                if now != NOTHING:
+                if now != Verdict(NOTHING):
                     all_said.append(f"{pair.time:.1f} s: {now}")
     return since, tuple(all_said), said
 
@@ -177,7 +187,7 @@ def confusion(answers: Sequence[Answer]) -> dict[str, Counter[str]]:
     """Number of findings per true change; a right finding is counted without the number of the axis."""
     table: dict[str, Counter[str]] = {}
     for answer in answers:
-        name = answer.truth.rpartition(" ")[2]
-        said = name if answer.said == answer.truth else answer.said
+        name = answer.truth.change
+        said = name if answer.said == answer.truth else "not run" if answer.said is None else str(answer.said)
         table.setdefault(name, Counter())[said] += 1
     return table

@@ -40,11 +40,19 @@ class Activity(Enum):
     ACTIVE = "under control"
 
 
+_ACTIVITIES: Final = {
+    "RUN/CALIB": Activity.SEARCHING,
+    "RUN/READY": Activity.SEARCHING,
+    "RUN/ALIGN": Activity.SEARCHING,
+    "RUN/STARTUP": Activity.SEARCHING,
+    "RUN/TEST": Activity.SEARCHING,
+    "RUN/SPIN": Activity.ACTIVE,
+}
+
+
 def activity(label: str) -> Activity:
     """Activity of a state label such as ``RUN/SPIN``."""
-    if label == "RUN/SPIN":
-        return Activity.ACTIVE
-    return Activity.SEARCHING if label.startswith("RUN/") and label != "RUN/FREEWHEEL" else Activity.IDLE
+    return _ACTIVITIES.get(label, Activity.IDLE)
 
 
 def expired_mask(catalogue: Catalogue) -> int:

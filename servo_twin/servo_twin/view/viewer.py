@@ -7,11 +7,11 @@ are dropped and counted.
 from __future__ import annotations
 
 import math
-import re
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 import numpy as np
@@ -31,9 +31,20 @@ _Job = Callable[[], None]
 
 _NS: Final = 1_000_000_000
 _TOLERANCE: Final = 1e-6  # of equal times [s]
-_NUMBER: Final = re.compile(r"\d+(\.\d+)?")
+_REPEAT_NS: Final = 10_000_000_000  # shortest time between texts of a status at the same level
 _NORMAL: Final = ("CONNECTED", "HEALTHY", *scene.PATH_STATES, *scene.HOME_STATES.values())  # states without a warning
+Estimates = Mapping[tuple[str, str], Mapping[str, float]]
 _LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of the diagnostic levels OK, WARN, ERROR, STALE
+
+
+@dataclass(frozen=True)
+class Change:
+    """A finding of the diagnosis; equal to another one about the same change."""
+
+    source: str  # ``axis1`` .. or ``bus``
+    kind: str  # kind of the finding
+    names: str  # what has changed
+    text: str = field(compare=False)
 
 
 class Recorder(Protocol):
@@ -106,8 +117,8 @@ class Viewer:
         self._labels: list[str] = [""] * AXES
         self._faults = [0] * AXES
         self._states: dict[str, str] = {}
-        self._findings = ""  # of the diagnosis, without numbers
-        self._diagnoses: dict[str, tuple[int, str]] = {}
+        self._findings: Sequence[Change] = []  # of the diagnosis
+        self._diagnoses: dict[str, tuple[int, str, int]] = {}  # level, text and stamp [ns] of the last line in the log
         self._warnings: set[str] = set()
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
@@ -161,17 +172,16 @@ class Viewer:
         """Add a diagnostic status; `level` as in diagnostic_msgs."""
         self._post(lambda: self._diagnosis(stamp_ns, name, level, message))
 
-    def changes(self, stamp_ns: int, found: Sequence[str], estimates: Mapping[str, Mapping[str, float]]) -> None:
+    def changes(self, stamp_ns: int, found: Sequence[Change], estimates: Estimates) -> None:
         """Add findings and estimates of the diagnosis.
 
         Parameters
         ----------
         stamp_ns : int
             ROS time [ns].
-        found : sequence of str
-            Text per finding.
+        found : sequence of Change
         estimates : mapping
-            Values by the names of `scene.ESTIMATES`, by entity below ``/plot``, such as ``axis1/inertia``.
+            Values by the names of `scene.ESTIMATES`, by source and name, such as ``axis1`` and ``inertia``.
         """
         self._post(lambda: self._changes(stamp_ns, found, estimates))
 
@@ -375,28 +385,26 @@ class Viewer:
             self._log(name, moment, "INFO" if state in _NORMAL else "WARN", text or state)
 
     def _diagnosis(self, stamp_ns: int, name: str, level: int, message: str) -> None:
-        """Log a status if its level has changed, or, above OK, its text."""
-        # Changed numbers in a text are not a new status.
-        now = level, _NUMBER.sub("#", message) if level else ""
-        before = self._diagnoses.get(name, (0, ""))
-        self._diagnoses[name] = now
-        if now != before:
+        """Log a status if its level has changed; above OK also a new text, but not more often than `_REPEAT_NS`."""
+        last_level, last_text, last_ns = self._diagnoses.get(name, (0, "", 0))
+        news = level and message != last_text and stamp_ns - last_ns >= _REPEAT_NS
+        if level != last_level or news:
+            self._diagnoses[name] = level, message, stamp_ns
             self._log("diagnostics", self._time.of_stamp(stamp_ns), _LEVELS[min(level, 3)], f"{name}: {message}")
 
-    def _changes(self, stamp_ns: int, found: Sequence[str], estimates: Mapping[str, Mapping[str, float]]) -> None:
+    def _changes(self, stamp_ns: int, found: Sequence[Change], estimates: Estimates) -> None:
         moment = self._time.of_stamp(stamp_ns)
         if moment < self._time.first - _TOLERANCE:
             return
-        text = "; ".join(found)
+        text = "; ".join(f"{one.source}: {one.text}" for one in found)
         state = "CHANGED" if found else "NOTHING CHANGED"
-        # Changed numbers in a text are not a new finding.
-        if self._states.get("diagnosis") != state or self._findings != _NUMBER.sub("#", text):
-            self._states["diagnosis"], self._findings = state, _NUMBER.sub("#", text)
+        if self._states.get("diagnosis") != state or self._findings != found:
+            self._states["diagnosis"], self._findings = state, found
             self._recording.state("diagnosis", moment, state)
             self._log("diagnosis", moment, "WARN" if found else "INFO", text or "nothing has changed")
         points = {
-            scene.estimate_entity(source_name, name, curve): np.array([numbers[curve]])
-            for (source_name, _, name), numbers in ((key.partition("/"), numbers) for key, numbers in estimates.items())
+            scene.estimate_entity(source, name, curve): np.array([numbers[curve]])
+            for (source, name), numbers in estimates.items()
             for curve in scene.ESTIMATES
         }
         if points:

@@ -181,12 +181,12 @@ def _run_levels(args: argparse.Namespace) -> int:
         pairs.extend(levels.pairs(ideal, registers))
         if not args.json:
             print(levels.table(name, pairs), flush=True)
-    entries = [pair.as_dict() for pair in pairs]
-    path = levels.write(args.out, entries)
+    path = levels.write(args.out, pairs)
     if args.json:
         print(path.read_text(encoding="utf-8"), end="")
     else:
-        print(levels.overview(entries))
+        print(levels.overview(pairs))
         print(f"{sum(pair.agrees for pair in pairs)} of {len(pairs)} figures agree at both levels, and with each other")
-        print("".join(f"  does not agree: {pair.name}\n" for pair in pairs if not pair.agrees), end="")
+        wrong = [f"{pair.experiment}: {pair.figure}" for pair in pairs if not pair.agrees]
+        print("".join(f"  does not agree: {name}\n" for name in wrong), end="")
     return 0 if all(pair.agrees for pair in pairs) else 1

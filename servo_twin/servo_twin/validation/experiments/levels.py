@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -40,9 +40,14 @@ def permitted_difference(bound: Bound) -> float:
 class Pair:
     """A figure at both levels."""
 
-    name: str  # experiment and figure
+    experiment: str
+    figure: str
     ideal: Row | None  # row at level ideal; None: the experiment failed
     registers: Row | None  # row at level registers; None: the experiment failed
+
+    @property
+    def unit(self) -> str:
+        return next((row.unit for row in (self.ideal, self.registers) if row is not None), "")
 
     @property
     def difference(self) -> float | None:
@@ -58,6 +63,14 @@ class Pair:
         if len(rows) < len(LEVELS):
             return None
         return max(permitted_difference(row.bound) if row.apart is None else row.apart for row in rows)
+
+    @property
+    def relative_difference(self) -> float:
+        """Difference relative to the permitted one; 0 without a value or a limit."""
+        difference, maximum = _finite(self.difference), _finite(self.difference_max)
+        if not difference or maximum is None:
+            return 0.0
+        return abs(difference) / maximum if maximum > 0.0 else math.inf
 
     @property
     def agrees(self) -> bool:
@@ -76,8 +89,9 @@ class Pair:
             return {"measured": _finite(row.measured), "bound": str(row.bound), "agrees": row.agrees}
 
         return {
-            "name": self.name,
-            "unit": next((row.unit for row in (self.ideal, self.registers) if row is not None), ""),
+            "experiment": self.experiment,
+            "figure": self.figure,
+            "unit": self.unit,
             "ideal": side(self.ideal),
             "registers": side(self.registers),
             "difference": _finite(self.difference),
@@ -94,16 +108,15 @@ def pairs(ideal: Outcome, registers: Outcome) -> list[Pair]:
     """Figures of one experiment at both levels, matched by their names."""
     first, second = ({row.name: row for row in outcome.rows} for outcome in (ideal, registers))
     names = [*first, *(name for name in second if name not in first)]
-    return [Pair(f"{ideal.name}: {name}", first.get(name), second.get(name)) for name in names]
+    return [Pair(ideal.name, name, first.get(name), second.get(name)) for name in names]
 
 
 def _cells(pair: Pair) -> tuple[str, ...]:
     rows = (pair.ideal, pair.registers)
     values = [_text(row.measured if row is not None else None) for row in rows]
     bounds = dict.fromkeys(str(row.bound) if row is not None else "none" for row in rows)
-    unit = next((row.unit for row in rows if row is not None), "")
     agrees = "yes" if pair.agrees else "NO"
-    return pair.name.partition(": ")[2], *values, _text(pair.difference), unit, "; ".join(bounds), agrees
+    return pair.figure, *values, _text(pair.difference), pair.unit, "; ".join(bounds), agrees
 
 
 def _text(value: float | None) -> str:
@@ -112,53 +125,37 @@ def _text(value: float | None) -> str:
 
 def table(name: str, every: Sequence[Pair]) -> str:
     """Figures of one experiment as text; with different bounds the bound of level ideal comes first."""
-    lines = [_HEAD, *(_cells(pair) for pair in every if pair.name.startswith(f"{name}: "))]
+    lines = [_HEAD, *(_cells(pair) for pair in every if pair.experiment == name)]
     return "\n".join([name, "", *(f"  {row}" for row in aligned(lines))]) + "\n"
 
 
-def overview(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown table: figures of every experiment, and the one with the largest difference relative to the permitted.
-
-    Parameters
-    ----------
-    entries : sequence of mapping
-        Entries of ``levels.json``, see `Pair.as_dict`.
-    """
+def overview(every: Sequence[Pair]) -> str:
+    """Markdown table: figures of each experiment, and the one with the largest difference relative to the permitted."""
     rows = ["| experiment | figures | agree | largest difference | ideal | registers | bound |"]
     rows.append("|---|---:|---:|---|---|---|---|")
-    for name in dict.fromkeys(_experiment(entry) for entry in entries):
-        own = [entry for entry in entries if _experiment(entry) == name]
-        measured = [entry for entry in own if entry["difference"] is not None]
-        largest = max(measured, key=lambda entry: (relative_difference(entry), abs(entry["difference"])), default=None)
+    for name in dict.fromkeys(pair.experiment for pair in every):
+        own = [pair for pair in every if pair.experiment == name]
+        measured = [pair for pair in own if _finite(pair.difference) is not None]
+        largest = max(measured, key=lambda pair: (pair.relative_difference, abs(pair.difference or 0.0)), default=None)
         figure, cells = "none has values at both levels", [""] * 3
-        if largest is not None and largest["difference"] == 0.0:
+        if largest is not None and largest.difference == 0.0:
             figure = "none differs"
         elif largest is not None:
-            figure, sides = largest["name"].partition(": ")[2], [largest[level] for level in LEVELS]
-            cells = [f"{_text(side['measured'])} {largest['unit']}".strip() for side in sides]
-            cells.append("; ".join(dict.fromkeys(side["bound"] for side in sides)))
-        agree = sum(entry["agrees"] for entry in own)
+            figure, sides = largest.figure, [row for row in (largest.ideal, largest.registers) if row is not None]
+            cells = [f"{_text(side.measured)} {largest.unit}".strip() for side in sides]
+            cells.append("; ".join(dict.fromkeys(str(side.bound) for side in sides)))
+        agree = sum(pair.agrees for pair in own)
         rows.append(f"| `{name}` | {len(own)} | {agree} | {figure} | {' | '.join(cells)} |")
-    agree = sum(entry["agrees"] for entry in entries)
-    rows.append(f"| all | {len(entries)} | {agree} | | | | |")
+    agree = sum(pair.agrees for pair in every)
+    rows.append(f"| all | {len(every)} | {agree} | | | | |")
     return "\n".join(rows) + "\n"
 
 
-def _experiment(entry: Mapping[str, Any]) -> str:
-    return str(entry["name"]).partition(": ")[0]
-
-
-def relative_difference(entry: Mapping[str, Any]) -> float:
-    """Difference relative to the permitted one; 0 without a value or a limit."""
-    difference, maximum = entry["difference"], entry["difference_max"]
-    if not difference or maximum is None:
-        return 0.0
-    return abs(difference) / maximum if maximum > 0.0 else math.inf
-
-
-def write(folder: Path, entries: Sequence[Mapping[str, Any]]) -> Path:
+def write(folder: Path, every: Sequence[Pair]) -> Path:
     """Write ``levels.json``, and the `overview` as ``levels.md``; returns the path of the first."""
     path = folder / FILE
-    write_file(path, json.dumps(entries, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
-    write_file(path.with_suffix(".md"), overview(entries))
+    write_file(
+        path, json.dumps([pair.as_dict() for pair in every], indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    )
+    write_file(path.with_suffix(".md"), overview(every))
     return path

@@ -64,7 +64,8 @@ class Row:
         """Entry of ``summary.json``."""
         usable = self.measured is not None and math.isfinite(self.measured)
         return {
-            "name": f"{experiment}: {self.name}",
+            "experiment": experiment,
+            "figure": self.name,
             "reference": self.reference,
             "measured": float(self.measured) if usable and self.measured is not None else None,
             "unit": self.unit,

@@ -258,7 +258,7 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
             board.inject(CutWire(0, pin))
             board.run(0.1)
             inputs = {"home": "HOME", "enable": "ENABLE"}.get(pin, pin.upper())
-            seen = (inputs in active(board, 0, "inputs")) == pin.startswith("limit")
+            seen = (inputs in active(board, 0, "inputs")) == (pin in ("limit_min", "limit_max"))
             results[f"{pin}, holding"] = (
                 active(board, 0, "faults") == faults and seen and not active(board, 1, "faults")
             )

@@ -59,10 +59,10 @@ def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
         The file.
     """
     path = folder / SUMMARY
-    replaced = tuple(f"{outcome.name}: " for outcome in outcomes)
+    replaced = {outcome.name for outcome in outcomes}
     try:
         old = json.loads(path.read_text(encoding="utf-8"))
-        kept = [row for row in old if "reference" in row and not str(row["name"]).startswith(replaced)]
+        kept = [row for row in old if "reference" in row and row["experiment"] not in replaced]
     except (OSError, ValueError, KeyError, TypeError):
         kept = []  # missing or another format
     text = json.dumps(kept + summary(outcomes), indent=2, allow_nan=False, ensure_ascii=False)
