@@ -45,22 +45,23 @@ __all__ = [
     "BoardError",
     "BoardStats",
     "ChipError",
+    "Firmware",
     "FlashState",
     "SimulationError",
     "Truth",
 ]
 
 
-class _Firmware(NamedTuple):
+class Firmware(NamedTuple):
     """Firmware, chip and plant, compiled by cffi."""
 
     ffi: Any
     lib: Any
 
 
-_FIRMWARE: Final[Mapping[Level, _Firmware]] = {
-    "registers": _Firmware(_registers_module.ffi, _registers_module.lib),
-    "ideal": _Firmware(_ideal_module.ffi, _ideal_module.lib),
+_FIRMWARE: Final[Mapping[Level, Firmware]] = {
+    "registers": Firmware(_registers_module.ffi, _registers_module.lib),
+    "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib),
 }
 
 FLASH_BYTES: Final = int(_ideal_module.lib.board_flash_size())
@@ -164,6 +165,8 @@ class Board:
         Configuration of the firmware; that of ``firmware/config/servo.toml``, compiled in, by default.
     flash : bytes, optional
         Contents of the data flash: `flash_image` of another board; erased by default.
+    firmware : Firmware, optional
+        Another build of firmware, chip and plant; that of `level` by default.
     """
 
     def __init__(
@@ -177,13 +180,14 @@ class Board:
         core: CoreSpeed | None = None,
         servo: ServoConfig | None = None,
         flash: bytes | None = None,
+        firmware: Firmware | None = None,
     ) -> None:
         if not 0 <= seed < 1 << 64:
             raise ValueError(f"seed {seed} is not within 0 .. 2^64 - 1")
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
         self.level = chosen_level(level)
-        self._ffi, self._lib = _FIRMWARE[self.level]
+        self._ffi, self._lib = firmware or _FIRMWARE[self.level]
         self.plant = plant or PlantConfig.load()
         self._seed = seed
         self.catalogue = catalogue or Catalogue.load()

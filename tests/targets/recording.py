@@ -6,12 +6,14 @@ import re
 import struct
 import zlib
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import cffi
 from servo_twin._build_native import declarations
+from servo_twin.board import Firmware
 from servo_twin.plant import PlantConfig
 
 from targets.calls import Call, parse_log
@@ -121,7 +123,7 @@ class Recorder:
         """
         ffi, lib = self._ffi, self._lib
         lib.record_begin(check_periods)
-        with Rig(ffi, lib, scenario.plant, seed) as rig:
+        with closing(Rig(Firmware(ffi, lib), scenario.plant, seed)) as rig:
             scenario.play(rig)
             if not lib.record_end():
                 raise TargetError(f"{scenario.name}: {ffi.string(lib.record_problem()).decode()}")

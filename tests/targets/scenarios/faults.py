@@ -34,9 +34,9 @@ def random_inputs(rig: Rig) -> None:
     rig.run(0.02)
     rig.end_disturbance()
     rig.set("cmd.i_q", 0.0)
-    rig.load(1, -0.2)
+    rig.set_load(1, -0.2)
     rig.until("the load runs away", lambda: "RUNAWAY" in rig.faults(1))
-    rig.load(1, 0.0)
+    rig.set_load(1, 0.0)
     rig.set("param.host_timeout", 0.05)
     rig.until("host time-out", lambda: "HOST_SILENT" in rig.faults(0), silent=True)
     rig.until("outputs off at the ramp's end", lambda: rig.states()[0] == "FAULT", silent=True)
@@ -45,22 +45,22 @@ def random_inputs(rig: Rig) -> None:
 def bus_faults(rig: Rig) -> None:
     """Under-voltage in operation, recovery, and over-voltage at rest."""
     spin(rig)
-    rig.load(0, 0.08)  # the holding current discharges the capacitor
-    rig.supply(12.0)
+    rig.set_load(0, 0.08)  # the holding current discharges the capacitor
+    rig.set_supply(12.0)
     rig.until("under-voltage", lambda: "UNDER_VOLTAGE" in rig.faults(0))
-    rig.load(0, 0.0)
-    rig.supply(24.0)
+    rig.set_load(0, 0.0)
+    rig.set_supply(24.0)
     rig.run(0.01)
     rig.command("CLEAR_FAULTS")
     rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
-    rig.supply(36.0)
+    rig.set_supply(36.0)
     rig.until("over-voltage in STOP", lambda: "OVER_VOLTAGE" in rig.faults(1))
     rig.run(0.002)
 
 
 def bad_supply(rig: Rig) -> None:
     """Over-voltage at power-on."""
-    rig.supply(36.0)
+    rig.set_supply(36.0)
     rig.until("over-voltage in INIT", lambda: rig.states() == ["FAULT", "FAULT"])
     rig.set("cmd.clear_faults", 1)  # too early
     rig.set("cmd.enable", 1)
@@ -70,19 +70,19 @@ def bad_supply(rig: Rig) -> None:
 def searches(rig: Rig) -> None:
     """Rotor search with an open motor cable, with a blocked shaft and with a dead encoder: different faults."""
     ready(rig)
-    rig.motor(0, False)
-    rig.plug(1, False)
+    rig.connect_motor(0, False)
+    rig.connect_encoder(1, False)
     rig.set("cmd.enable", 1)
     rig.until("no current", lambda: rig.faults(0) == ["PHASE_LOST"])
-    rig.motor(0, True)
-    rig.lock(0)
+    rig.connect_motor(0, True)
+    rig.lock_shaft(0)
     rig.set("cmd.clear_faults", 1, 0)
     rig.until("axis 1 cleared", lambda: rig.states()[0] == "STOP")
     rig.set("cmd.enable", 1)
     rig.until("search failed", lambda: rig.faults(0) == ["ROTOR_SEARCH"])
     rig.until("encoder lost", lambda: rig.faults(1) == ["ENCODER_LOST"])
-    rig.lock(0, locked=False)
-    rig.plug(1, True)
+    rig.lock_shaft(0, locked=False)
+    rig.connect_encoder(1, True)
     rig.set("cmd.clear_faults", 1)
     rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
 
@@ -90,7 +90,7 @@ def searches(rig: Rig) -> None:
 def reversed_lines(rig: Rig) -> None:
     """A reversed encoder; a short circuit during a stall of the core."""
     ready(rig)
-    rig.reverse(0)
+    rig.reverse_encoder(0)
     rig.set("cmd.enable", 1)
     rig.until("encoder reversed", lambda: rig.faults(0) == ["ENCODER_REVERSED"])
     rig.until("SPIN on axis 2", lambda: rig.states()[1] == "SPIN")
@@ -105,7 +105,7 @@ def caught(rig: Rig) -> None:
     ready(rig)
     rig.set("cmd.enable", 1, 0)
     rig.run(0.27)
-    rig.lock(0)
+    rig.lock_shaft(0)
     for _ in range(6):
         rig.run(0.15)
         rig.set("cmd.mode", POSITION)  # keeps the host time-out of 0.5 s from expiring
@@ -114,12 +114,12 @@ def caught(rig: Rig) -> None:
 def stalled(rig: Rig) -> None:
     """Blocked shafts with a speed set-point; one is released at the start of the stall test."""
     spin(rig)
-    rig.lock(0)
-    rig.lock(1)
+    rig.lock_shaft(0)
+    rig.lock_shaft(1)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
     rig.until("stall test", lambda: rig.states()[1] == "ALIGN")
-    rig.lock(1, locked=False)
+    rig.lock_shaft(1, locked=False)
     rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
     rig.set("cmd.enable", 1)
     rig.run(0.001)
@@ -128,8 +128,8 @@ def stalled(rig: Rig) -> None:
 def backlash(rig: Rig) -> None:
     """Shafts at end stops with backlash: the rotating vector of the stall test moves them only a little."""
     spin(rig)
-    rig.obstruct(0, 0.005, 0.005)
-    rig.obstruct(1, math.inf, 0.005)
+    rig.obstruct_shaft(0, 0.005, 0.005)
+    rig.obstruct_shaft(1, math.inf, 0.005)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
     rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
@@ -139,14 +139,14 @@ def slipped_discs(rig: Rig) -> None:
     """Encoders slipped by 60 degrees under a load that becomes too large, and by 90 degrees; then by 180 degrees
     (electrical)."""
     spin(rig)
-    rig.load(0, 0.06)
+    rig.set_load(0, 0.06)
     rig.run(0.02)
     rig.inject(SlippedEncoder(0, -333))
     rig.inject(SlippedEncoder(1, -500))
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
     rig.until("fault", lambda: all("ANGLE_MISMATCH" in rig.faults(k) for k in (0, 1)))
-    rig.load(0, 0.0)
+    rig.set_load(0, 0.0)
     rig.run(0.05)
     rig.set("cmd.clear_faults", 1)
     rig.run(0.01)
@@ -167,15 +167,15 @@ def silent_encoder(rig: Rig) -> None:
     rig.set("cmd.mode", TORQUE)
     rig.set("cmd.i_q", 0.0)
     rig.run(0.002)
-    rig.plug(0, False)
-    rig.lock(1)
+    rig.connect_encoder(0, False)
+    rig.lock_shaft(1)
     rig.until("encoder lost", lambda: "ENCODER_LOST" in rig.faults(0))
     rig.run(0.05)
-    rig.plug(1, False)
+    rig.connect_encoder(1, False)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
     rig.until("stall test", lambda: rig.states()[1] == "ALIGN")
-    rig.lock(1, locked=False)
+    rig.lock_shaft(1, locked=False)
     rig.until("fault", lambda: "ENCODER_LOST" in rig.faults(1))
 
 
@@ -185,23 +185,23 @@ def quiet_losses(rig: Rig) -> None:
     rig.set("cmd.mode", SPEED, TORQUE)
     rig.set("cmd.speed", 20.0, 0.0)
     rig.run(0.03)
-    rig.lock(1)
-    rig.motor(1, False)
+    rig.lock_shaft(1)
+    rig.connect_motor(1, False)
     rig.set("cmd.mode", TORQUE)
     rig.set("cmd.i_q", 0.0, 0.1)
     rig.inject(StuckLine(0, "A"))
     rig.until("single-channel count", lambda: rig.faults(0) == ["ENCODER_LOST"])
     rig.until("phase lost at a small current", lambda: rig.faults(1) == ["PHASE_LOST"])
     rig.clear_fault(StuckLine(0, "A"))
-    rig.lock(1, locked=False)
-    rig.motor(1, True)
+    rig.lock_shaft(1, locked=False)
+    rig.connect_motor(1, True)
     rig.set("cmd.clear_faults", 1)
     rig.until("axis 2 cleared", lambda: rig.states()[1] == "STOP")
     rig.set("cmd.enable", 0, 1)
     rig.until("SPIN on axis 2", lambda: rig.states()[1] == "SPIN")
     rig.set("cmd.i_q", 0.0, 1.0)
     rig.run(0.03)
-    rig.motor(1, False)
+    rig.connect_motor(1, False)
     rig.until("phase lost in motion", lambda: rig.faults(1) == ["PHASE_LOST"])
 
 
@@ -221,8 +221,8 @@ def lost_index(rig: Rig) -> None:
     rig.lose_index(True)
     rig.until("index lost", lambda: all("ENCODER" in rig.faults(k) for k in (0, 1)))
     rig.lose_index(False)
-    rig.lock(0)  # shortens coasting
-    rig.lock(1)
+    rig.lock_shaft(0)  # shortens coasting
+    rig.lock_shaft(1)
     rig.set("cmd.clear_faults", 1)
     rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
 
@@ -234,7 +234,7 @@ def over_current(rig: Rig) -> None:
     rig.set("cmd.quick_stop", 1)
     rig.run(0.002)
     rig.set("cmd.enable", 1)
-    rig.lock(0)
+    rig.lock_shaft(0)
     rig.set("cmd.i_q", 3.9, -3.9)
     rig.run(0.004)
     rig.inject(OpenPhase(0, "b"))
@@ -281,8 +281,8 @@ def broken_phases(rig: Rig) -> None:
     rig.clear_fault(StuckConverter(1, "b", 2150))
     rig.run(0.01)
     rig.clear_fault(CurrentNoise(0, 0.02))
-    rig.lock(0)
-    rig.lock(1)
+    rig.lock_shaft(0)
+    rig.lock_shaft(1)
     rig.set("cmd.clear_faults", 1)
     rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
 
@@ -298,7 +298,7 @@ def broken_encoders(rig: Rig) -> None:
     rig.set("cmd.i_q", 0.0)  # without current the monitor has to apply a test current
     rig.run(0.01)
     rig.inject(StuckLine(0, "A"))
-    rig.plug(1, False)
+    rig.connect_encoder(1, False)
     rig.until("encoders lost", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
     rig.inject(HotPowerStage(0, 120.0))
     rig.until("heat", lambda: "OVER_TEMPERATURE" in rig.faults(0))

@@ -72,17 +72,17 @@ def homing(rig: Rig) -> None:
     spin(rig)
     step = 2.0 * math.pi / 4000
     (start,) = rig.read_words("axis1.position")
-    rig.obstruct(0, 10 * step, math.inf)
-    rig.obstruct(1, math.inf, math.inf)
+    rig.obstruct_shaft(0, 10 * step, math.inf)
+    rig.obstruct_shaft(1, math.inf, math.inf)
     _home(rig, "STOP_NEGATIVE", "STOP_POSITIVE")  # axis 2 has no stop
     for shift in (0, 5, -4):
         rig.until("a contact", lambda: rig.read_words("axis1.position")[0] < start and rig.get("axis1.i_q") < -0.6, 3.0)
         rig.until("the back-off", lambda: rig.get("axis1.speed") > 5.0, 3.0)
         rig.run(0.004)
-        rig.obstruct(0, (rig.read_words("axis1.position")[0] - start + 10 - shift) * step, math.inf)
+        rig.obstruct_shaft(0, (rig.read_words("axis1.position")[0] - start + 10 - shift) * step, math.inf)
     _end(rig)
     _end(rig, 1)
-    rig.obstruct(0, 0.005, 0.005)  # stops in both directions
+    rig.obstruct_shaft(0, 0.005, 0.005)  # stops in both directions
     _home(rig, "STOP_NEGATIVE")
     _end(rig)
 
@@ -92,13 +92,13 @@ def blocked(rig: Rig) -> None:
     ready(rig)
     scaled(rig, dict.fromkeys((0, 1), _FASTER))
     spin(rig)
-    rig.obstruct(0, math.inf, 0.01)
-    rig.obstruct(1, 0.01, math.inf)
+    rig.obstruct_shaft(0, math.inf, 0.01)
+    rig.obstruct_shaft(1, 0.01, math.inf)
     _home(rig, "SWITCH_POSITIVE", "STOP_NEGATIVE")
     _end(rig)
     for _ in range(3):
         rig.until("a contact", lambda: rig.get("axis2.i_q") < -0.6, 3.0)
         rig.until("the back-off", lambda: rig.get("axis2.speed") > 5.0, 3.0)
         rig.run(0.004)
-        rig.obstruct(1, 0.03, math.inf)
+        rig.obstruct_shaft(1, 0.03, math.inf)
     _end(rig, 1)

@@ -62,9 +62,9 @@ def sensorless(rig: Rig) -> None:
     rig.set("cmd.speed", 0.0, -60.0)
     rig.until("flying start", lambda: rig.states()[1] == "STARTUP")
     rig.run(0.006)
-    rig.lock(1)
+    rig.lock_shaft(1)
     rig.run(0.1)
-    rig.lock(1, locked=False)
+    rig.lock_shaft(1, locked=False)
     stop(rig)
 
 
@@ -74,19 +74,19 @@ def sensorless_lost(rig: Rig) -> None:
     rig.until("axis 1 spins", lambda: rig.states()[0] == "SPIN")
     rig.run(0.02)
     rig.inject(CurrentNoise(0, 0.02))  # without noise the codes of a shaft at standstill are constant
-    rig.lock(0)
+    rig.lock_shaft(0)
     rig.until("stall", lambda: rig.faults(0) == ["SPEED_FEEDBACK"])
     rig.set("cmd.clear_faults", 1, 0)
     rig.until("axis 1 cleared", lambda: rig.states()[0] == "STOP")
     rig.clear_fault(CurrentNoise(0, 0.02))
     rig.set("cmd.enable", 1, 0)
     rig.until("axis 1 waits", lambda: rig.states()[0] == "READY")
-    rig.motor(0, False)  # constant signals make a short recording
+    rig.connect_motor(0, False)  # constant signals make a short recording
     rig.set("cmd.speed", 100.0, 0.0)
     for _ in range(10):
         rig.run(0.15)
         rig.set("cmd.mode", SPEED)
-    rig.motor(0, True)
+    rig.connect_motor(0, True)
     rig.until("no start-up", lambda: rig.faults(0) == ["START_UP"])
 
 
@@ -97,16 +97,16 @@ def slipped(rig: Rig) -> None:
     rig.set("cmd.mode", SPEED, TORQUE)
     rig.set("cmd.speed", 80.0)
     rig.set("param.features", features("ANGLE_CHECK"), features())
-    rig.motor(1, False)
+    rig.connect_motor(1, False)
     rig.set("cmd.i_q", 0.5)
     rig.run(0.01)
     rig.set("cmd.i_q", -0.5)  # the integrators of the controllers rotate like a back-EMF
     rig.run(0.05)
-    rig.plug(0, False)
+    rig.connect_encoder(0, False)
     rig.run(0.0015)
-    rig.plug(0, True)
+    rig.connect_encoder(0, True)
     rig.run(0.01)
-    rig.plug(0, False)
+    rig.connect_encoder(0, False)
     rig.until("angle mismatch", lambda: "ANGLE_MISMATCH" in rig.faults(0))
     rig.until("phase lost", lambda: rig.faults(1) == ["PHASE_LOST"])
     rig.run(0.005)

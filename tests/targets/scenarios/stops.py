@@ -27,7 +27,7 @@ def resistor(rig: Rig) -> None:
     rig.set_raw("param.brake", 2)  # refused: not a switch
     rig.run(0.002)
     rig.set_raw("param.brake", 1)
-    rig.supply(35.4)
+    rig.set_supply(35.4)
     rig.until("the energy budget of the resistor is used up", lambda: "OVER_VOLTAGE" in rig.faults(0))
 
 
@@ -100,5 +100,5 @@ def too_fast_for_a_short(rig: Rig) -> None:
     rig.run(0.05)
     rig.set("cmd.enable", 0)
     rig.run(0.002)
-    rig.supply(36.0)
+    rig.set_supply(36.0)
     rig.until("over-voltage while it coasts", lambda: "OVER_VOLTAGE" in rig.faults(0))
