@@ -53,6 +53,7 @@ setup(
             "servo_viewer = servo_twin.programs:viewer",
             "virtual_board = servo_twin.programs:board",
             "servo-sim = servo_twin.programs:sim",
+            "servo-twin = servo_twin.programs:runs",
             "servo-up = servo_twin.programs:up",
         ],
     },

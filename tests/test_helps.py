@@ -15,6 +15,7 @@ PROGRAMS: Final = (
     "servo_bridge.demo",
     "servo_bridge.tool",
     "servo_twin.cli",
+    "servo_twin.runs.command",
     "servo_twin.up",
     "servo_twin.virtual_board",
 )

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("servo_msgs_py", "servo_bridge", "servo_twin")
 EXECUTABLES = {
     "servo_bridge": ("servo_bridge", "servo-command", "servo-demo", "servo-tool"),
-    "servo_twin": ("servo-sim", "servo-up", "servo_twin", "servo_viewer", "virtual_board"),
+    "servo_twin": ("servo-sim", "servo-twin", "servo-up", "servo_twin", "servo_viewer", "virtual_board"),
 }
 EXECUTABLE_NAMES = [(package, name) for package, names in EXECUTABLES.items() for name in names]
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")

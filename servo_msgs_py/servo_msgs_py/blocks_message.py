@@ -38,10 +38,10 @@ def blocks_from_message(message: Int64MultiArray) -> dict[int, tuple[int, ...]]:
     AxisConfigError
         If the blocks have another layout, or a member is out of range.
     """
-    if not message.data:
+    if not len(message.data):
         return {}
     table = AxisConfigTable.load()
-    layout, *words = message.data
+    layout, *words = message.data.tolist()
     size = len(table)
     if layout != table.layout or len(words) != AXES * size:
         raise AxisConfigError(f"{TUNING}: the blocks belong to another version; use the same version everywhere")

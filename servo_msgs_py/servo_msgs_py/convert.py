@@ -262,7 +262,7 @@ def applied_from_message(message: Int64MultiArray) -> AppliedCommand:
     name = ",".join(dim.label for dim in message.layout.dim)
     if name not in COMMAND_VARIABLES:
         raise ValueError(f"{COMMANDS_APPLIED}: {name!r} is not a command; use the same version everywhere")
-    tick, mask, *raw = message.data if len(message.data) >= _APPLIED_HEAD else (0, 0)
+    tick, mask, *raw = message.data.tolist() if len(message.data) >= _APPLIED_HEAD else (0, 0)
     if not (0 < mask < 1 << AXES and _valid_length(name, len(raw), mask)):
         raise ValueError(f"{COMMANDS_APPLIED}: {name} has {len(raw)} values for the axes of mask {mask}")
     return AppliedCommand(name, tick, tuple(raw), mask)

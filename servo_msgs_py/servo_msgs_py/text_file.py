@@ -113,7 +113,7 @@ def toml_value(value: object) -> str:
     if isinstance(value, str):
         # As in JSON, but TOML has no surrogate pairs, and no DEL in a string.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(toml_value, value))}]"
     return repr(value)
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, cast, get_type_hints
 
 from servo_msgs_py.catalogue import AXIS_NAMES
 from servo_msgs_py.quantity import ABOVE_0, Quantity
-from servo_msgs_py.text_file import TextFileError, read_toml
+from servo_msgs_py.text_file import TextFileError, read_toml, toml_text
 
 STOP_STIFFNESS_MAX: Final = 0.06
 """Largest stiffness of an end stop, relative to inertia times PWM frequency squared: the oscillation takes 25 periods,
@@ -276,6 +276,12 @@ class PlantConfig:
             pwm_frequency=table["pwm_frequency"],
             ambient=table["ambient"],
         )
+
+    def text(self) -> str:
+        """All values as TOML, which `parse` takes."""
+        table = dataclasses.asdict(self)
+        axes = dict(zip(AXIS_NAMES, table.pop("axes"), strict=True))
+        return toml_text({**table, **axes})
 
     def drawn(self, seed: int) -> PlantConfig:
         """Copy with random start angles replaced by values that depend on the seed only."""

@@ -30,6 +30,11 @@ def sim() -> int:
     return run("servo-sim", "servo_twin.cli")
 
 
+def runs() -> int:
+    """``servo-twin``."""
+    return run("servo-twin", "servo_twin.runs.command")
+
+
 def up() -> int:
     """``servo-up``."""
     return run("servo-up", "servo_twin.up")

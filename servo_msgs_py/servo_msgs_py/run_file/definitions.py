@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from array import array
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -24,6 +26,48 @@ def definition(type_name: str) -> Definition | None:
         return None
     text, _ = store.generate_msgdef(type_name, ros_version=2)
     return Definition(text, store.hash_rihs01(type_name))
+
+
+def decoded(data: bytes, type_name: str) -> Any:
+    """Message with the members of its ROS class; arrays of numbers are arrays of numpy.
+
+    Parameters
+    ----------
+    data : bytes
+        Serialised message (CDR with its header).
+    type_name : str
+        Such as ``std_msgs/msg/String``.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged, or its type is not known.
+    """
+    try:
+        return _store().deserialize_cdr(data, type_name)
+    except Exception as error:  # the generated code has no errors of its own
+        raise ValueError(f"the message is no {type_name} ({error!r})") from None
+
+
+def encoded(message: Any) -> bytes:
+    """Serialised message (CDR with its header) of an object of a ROS class."""
+    return bytes(_store().serialize_cdr(_own(message), type_of(type(message))))
+
+
+def type_of(message: type[Any]) -> str:
+    """Name of the type of a ROS class, such as ``std_msgs/msg/String``."""
+    package, kind, *_ = message.__module__.split(".")
+    return f"{package}/{kind}/{message.__name__}"
+
+
+def _own(value: Any) -> Any:
+    """A message, or a value in one, as the library has it."""
+    if hasattr(value, "get_fields_and_field_types"):
+        fields = {name: _own(getattr(value, name)) for name in value.get_fields_and_field_types()}
+        return _store().types[type_of(type(value))](**fields)
+    if isinstance(value, array):
+        return np.asarray(value)
+    return [_own(each) for each in value] if isinstance(value, list) else value
 
 
 @cache

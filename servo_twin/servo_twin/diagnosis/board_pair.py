@@ -7,7 +7,7 @@ import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
@@ -36,12 +36,116 @@ _VARIABLES: Final = (
         )
     ),
 )
-_COLUMNS: Final = (*_VARIABLES, *topics.STAMP_COLUMNS)
+COLUMNS: Final = (*_VARIABLES, *topics.STAMP_COLUMNS)
+"""Columns of a sample."""
+
 _TIME_MAX: Final = 8.0  # from reset to closed-loop control [s]
 
 
-class BoardPair:
-    """Runs the real board and passes its samples and commands to the twin.
+_Self = TypeVar("_Self", bound="SampledBoard")
+
+
+class SampledBoard:
+    """A virtual board in the place of the real one, without a serial line; a subclass gets its samples and commands.
+
+    Parameters
+    ----------
+    board : Board
+        A board after power-on; closed at the end of the context.
+    seed : int
+        Of the times of the samples and of the losses.
+    loss : float
+        Fraction of lost samples, 0 .. 1.
+    """
+
+    def __init__(self, board: Board, *, seed: int, loss: float = 0.0) -> None:
+        self._catalogue = board.catalogue
+        self._lsb = [board.catalogue[name].lsb for name in _VARIABLES]
+        self._random = random.Random(f"samples {seed}")
+        self._loss = loss
+        self.board = board
+        self.real = Replica(board)
+        self._written: list[tuple[str, tuple[int, ...], int]] = []
+
+    def close(self) -> None:
+        """Free the board."""
+        self.real.close()
+
+    def __enter__(self: _Self) -> _Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def time(self) -> float:
+        """Time of the real board since its reset [s]."""
+        return self.real.tick * PERIOD_NS * 1e-9
+
+    def write(self, variable: str, values: Sequence[float], mask: int = (1 << AXES) - 1) -> None:
+        """Write the masked axes of a command variable, SI; the next sample reports the effect."""
+        raw = tuple(self._catalogue[variable].to_raw(x) if mask >> n & 1 else 0 for n, x in enumerate(values))
+        self.real.write(variable, raw, mask)
+        self._written.append((variable, raw, mask))
+
+    def write_points(self, points: Sequence[TimedPoint]) -> None:
+        """Write timed points; the next sample reports the effect."""
+        words = tuple(encode_points(self._catalogue, points))
+        self.real.write_first("cmd.points", words)
+        self._written.append(("cmd.points", words, axes_of_points(words)))
+
+    def sample(self) -> list[Pair]:
+        """Run the real board to its next sample and pass it on; returns the new pairs with a twin, if there is one."""
+        step = SAMPLE_TICKS + self._random.choice((-1, 0, 0, 1))
+        self.real.run_to(self.real.tick + SLOW_PERIODS * step)
+        raw = self.real.raw
+        for variable, words, mask in self._written:
+            self.on_command(AppliedCommand(variable, raw["applied_tick"], words, mask))
+        self._written.clear()
+        if self._loss and self._random.random() < self._loss:
+            return []
+        row = [float(raw[name] * lsb) for name, lsb in zip(_VARIABLES, self._lsb, strict=True)]
+        row += divmod(self.real.tick * PERIOD_NS, 1_000_000_000)
+        return self.on_sample(row)
+
+    def on_command(self, command: AppliedCommand) -> None:
+        """Take a command that took effect."""
+        raise NotImplementedError
+
+    def on_sample(self, row: Sequence[float]) -> list[Pair]:
+        """Take a sample with the columns `COLUMNS`, SI."""
+        raise NotImplementedError
+
+    def ready(self) -> bool:
+        """Whether both axes are in closed-loop control."""
+        return set(self.labels()) == {"RUN/SPIN"}
+
+    def labels(self) -> list[str]:
+        """State of every axis of the real board."""
+        return [self.real.label(axis) for axis in range(AXES)]
+
+    def enable(self) -> None:
+        """Enable both axes and wait for closed-loop control.
+
+        Raises
+        ------
+        SimulationError
+            On a timeout.
+        """
+        while self.time < 0.1:
+            self.sample()
+        self.write("cmd.enable", [1.0] * AXES)
+        while self.time < _TIME_MAX:
+            self.sample()
+            if self.ready():
+                return
+        raise SimulationError(f"no closed-loop control {_TIME_MAX:g} s after the reset: axes in {self.labels()}")
+
+
+class BoardPair(SampledBoard):
+    """A board with its twin.
 
     Parameters
     ----------
@@ -67,78 +171,24 @@ class BoardPair:
         loss: float = 0.0,
     ) -> None:
         catalogue = Catalogue.load()
-        self._catalogue = catalogue
-        self._lsb = [catalogue[name].lsb for name in _VARIABLES]
-        self._random = random.Random(f"samples {seed}")
-        self._loss = loss
-        self.board = Board(plant, seed=2 * seed + 1, level=level, catalogue=catalogue)  # the real one
-        self.real = Replica(self.board)
+        super().__init__(Board(plant, seed=2 * seed + 1, level=level, catalogue=catalogue), seed=seed, loss=loss)
         self.twin = Twin(
             lambda: Board(twin_plant, seed=2 * seed + 2, level=level, catalogue=catalogue), None, catalogue
         )
-        self._written: list[tuple[str, tuple[int, ...], int]] = []
 
-    def __enter__(self) -> BoardPair:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self.twin.close()
-        self.real.close()
+        super().close()
 
-    @property
-    def time(self) -> float:
-        """Time of the real board since its reset [s]."""
-        return self.real.tick * PERIOD_NS * 1e-9
+    def on_command(self, command: AppliedCommand) -> None:
+        self.twin.add_command(command)
 
-    def write(self, variable: str, values: Sequence[float], mask: int = (1 << AXES) - 1) -> None:
-        """Write the masked axes of a command variable, SI; the next sample reports the effect."""
-        raw = tuple(self._catalogue[variable].to_raw(x) if mask >> n & 1 else 0 for n, x in enumerate(values))
-        self.real.write(variable, raw, mask)
-        self._written.append((variable, raw, mask))
-
-    def write_points(self, points: Sequence[TimedPoint]) -> None:
-        """Write timed points; the next sample reports the effect."""
-        words = tuple(encode_points(self._catalogue, points))
-        self.real.write_first("cmd.points", words)
-        self._written.append(("cmd.points", words, axes_of_points(words)))
-
-    def sample(self) -> list[Pair]:
-        """Run the real board to its next sample, pass it to the twin, and return the new pairs."""
-        step = SAMPLE_TICKS + self._random.choice((-1, 0, 0, 1))
-        self.real.run_to(self.real.tick + SLOW_PERIODS * step)
-        raw = self.real.raw
-        for variable, words, mask in self._written:
-            self.twin.add_command(AppliedCommand(variable, raw["applied_tick"], words, mask))
-        self._written.clear()
-        if self._loss and self._random.random() < self._loss:
-            return []
-        row = [float(raw[name] * lsb) for name, lsb in zip(_VARIABLES, self._lsb, strict=True)]
-        row += divmod(self.real.tick * PERIOD_NS, 1_000_000_000)
-        self.twin.add_samples(_COLUMNS, np.array([row]))
+    def on_sample(self, row: Sequence[float]) -> list[Pair]:
+        self.twin.add_samples(COLUMNS, np.array([row]))
         return self.twin.step()
 
-    def labels(self) -> list[str]:
-        """State of every axis of the real board."""
-        return [self.real.label(axis) for axis in range(AXES)]
-
-    def enable(self) -> None:
-        """Enable both axes of both boards and wait for closed-loop control.
-
-        Raises
-        ------
-        SimulationError
-            On a timeout.
-        """
-        while self.time < 0.1:
-            self.sample()
-        self.write("cmd.enable", [1.0] * AXES)
-        while self.time < _TIME_MAX:
-            self.sample()
-            if set(self.labels()) == {"RUN/SPIN"} and set(self.twin.labels()) == {"RUN/SPIN"}:
-                return
-        raise SimulationError(f"no closed-loop control {_TIME_MAX:g} s after the reset: axes in {self.labels()}")
+    def ready(self) -> bool:
+        return super().ready() and set(self.twin.labels()) == {"RUN/SPIN"}
 
 
 @dataclass
@@ -155,13 +205,13 @@ class Motion:
 
     Parameters
     ----------
-    pair : BoardPair
+    pair : SampledBoard
         With both axes in closed-loop control.
     seed : int
         Of the motion.
     """
 
-    def __init__(self, pair: BoardPair, seed: int) -> None:
+    def __init__(self, pair: SampledBoard, seed: int) -> None:
         self._pair = pair
         self._random = random.Random(f"motion {seed}")
         modes = pair.board.catalogue.enums["control_mode_t"]

@@ -62,16 +62,21 @@ def finding_text(finding: Finding, tick: int, stamp_ns: int) -> str:
     """
     since = datetime.fromtimestamp((stamp_ns - (tick - finding.since) * PERIOD_NS) * 1e-9)
     delay = (finding.detected - finding.since) * PERIOD_NS * 1e-9
-    when = f"since {since:%H:%M:%S}, detected after {delay:.1f} s"
+    comma = "" if finding.kind is Kind.SINGLE else ","
+    return f"{change_text(finding)}{comma} since {since:%H:%M:%S}, detected after {delay:.1f} s"
+
+
+def change_text(finding: Finding) -> str:
+    """What has changed, without the time."""
     names = [_WORDS[name] for name in finding.changes]
     if finding.kind is Kind.UNKNOWN:
-        return f"unknown cause of the residual, {when}"
+        return "unknown cause of the residual"
     if finding.kind is Kind.SEVERAL:
-        return f"several changes, {' and '.join(names)} among them, {when}"
+        return f"several changes, {' and '.join(names)} among them"
     size = _size(finding.changes[0], finding.value, finding.low, finding.high)
     if finding.kind is Kind.ONE_OF:
-        return f"{' or '.join(names)}, not distinguishable with this motion; as {names[0]} {size}, {when}"
-    return f"{names[0]} {size} {when}"
+        return f"{' or '.join(names)}, not distinguishable with this motion; as {names[0]} {size}"
+    return f"{names[0]} {size}"
 
 
 def findings_text(findings: Sequence[LocatedFinding], joints: Sequence[str], tick: int, stamp_ns: int) -> str:

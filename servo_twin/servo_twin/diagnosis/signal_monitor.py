@@ -16,7 +16,9 @@ from servo_twin.lockstep.twin import Pair
 MONITORED: Final = {"position": "rad", "speed": "rad/s", "i_q": "A", "u_q": "V", "u_d": "V"}
 """Variables of an axis and units, referred to the motor."""
 
-_NAMES: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in MONITORED)
+NAMES: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in MONITORED)
+"""Names of the variables, in the order of `SignalMeans` read row by row."""
+
 _TIME: Final = 0.2  # time constant of the mean [s]
 _SETTLING: Final = 2.0  # settling time of the mean [_TIME]
 
@@ -48,7 +50,7 @@ class SignalMeans:
         self._age += seconds
         share = 1.0 - math.exp(-seconds / _TIME)
         real, twin = pair.real, pair.twin
-        difference = np.array([real[name] - twin[name] if name in twin else 0.0 for name in _NAMES])
+        difference = np.array([real[name] - twin[name] if name in twin else 0.0 for name in NAMES])
         difference = difference.reshape(self._means.shape)
         difference[list(pair.stopping), 0] = 0.0  # the boards stop at different positions
         self._means += share * (difference - self._means)
@@ -67,20 +69,22 @@ class SignalMonitor:
     def __init__(self, limits: Sequence[Sequence[float]]) -> None:
         self._limits = np.array(limits)
         self._means = SignalMeans()
+        self.beyond: tuple[str, ...] = ()  # variables whose mean is beyond its limit
         self.deviation: tuple[int, str] | None = None  # axis, and the deviation as text; None: no deviation
 
     def interrupt(self) -> None:
         """The next pair does not follow on the last one."""
         self._means.interrupt()
-        self.deviation = None
+        self.beyond, self.deviation = (), None
 
     def update(self, pair: Pair) -> None:
         """Evaluate a pair."""
         means = self._means.update(pair)
-        self.deviation = None
+        self.beyond, self.deviation = (), None
         if means is None:
             return
         excess = np.abs(means) / self._limits
+        self.beyond = tuple(NAMES[k] for k in np.flatnonzero(excess > 1.0))
         axis, signal = (int(k) for k in np.unravel_index(int(np.argmax(excess)), excess.shape))
         if excess[axis, signal] > 1.0:
             name, unit = list(MONITORED.items())[signal]

@@ -95,6 +95,8 @@ class Twin:
         self.status = "no telemetry yet"  # reason why the twin is not synchronised; empty: synchronised
         self.fault = ""  # `Pair.fault` of the last sample, also without synchronisation
         self.synchronisations = 0  # number of synchronisations
+        self.dropped = ""  # why the last synchronisation ended; empty: none has
+        self.from_reset = False  # the twin's board has repeated everything since the reset of the real one
         self.torque_constants: list[float] = []  # per axis, from the firmware [N m/A]; empty: not synchronised yet
         self._catalogue = catalogue or Catalogue.load()
         self._new_board = new_board
@@ -346,6 +348,7 @@ class Twin:
                 axis.begin_from_reset()
             self._set_parameters(replica)
             self._replay(replica, sample)
+            self.from_reset = True
             return True
         for number, label in enumerate(sample.labels):
             if activity(label) is Activity.SEARCHING:
@@ -397,6 +400,8 @@ class Twin:
         if self._replica is not None:
             self._replica.close()
             self._replica = None
+            self.dropped = reason
+        self.from_reset = False
         self._bursts.dropped(reason)
         self._rest.forget()
         self._own_rest.forget()

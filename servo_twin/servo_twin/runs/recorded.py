@@ -1,0 +1,156 @@
+"""A recorded run: which board, what is in it, and its messages for the twin."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.blocks_message import blocks_from_message
+from servo_msgs_py.run_file.definitions import decoded
+from servo_msgs_py.run_file.reader import Record, RunReader
+from servo_msgs_py.run_file.run_info import RunInfo, RunInfoError, run_info, string_of
+
+from servo_msgs_py import topics
+from servo_twin.lockstep.blocks import Blocks
+from servo_twin.lockstep.board_topics import BOARD_TOPICS
+
+DEFAULT_NAMESPACE: Final = "/servo"
+
+_MEANING: Final = {
+    topics.COMMANDS_APPLIED: "commands cannot be repeated: only the stretches without one can be replayed",
+    topics.PARAMETERS: "the parameters of the board are not known; the defaults are assumed",
+    topics.TUNING: "the configuration of the board is not known; the one compiled in is assumed",
+    topics.WINDING_TEMPERATURES: "the temperatures of the windings are not known",
+    topics.RUN_INFO: "plant, seed and build are not known; the packaged plant is assumed, differences within noise "
+    "are ignored",
+}
+"""What a missing topic means for a replay; the others matter only with bursts."""
+
+
+class RunError(ValueError):
+    """A recording cannot be used; the text has the reason and a remedy."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a recording has of one board."""
+
+    namespace: str  # of the bridge, absolute
+    topics: Counter[str]  # messages by absolute name
+    info: RunInfo | None  # what ran; None: not known
+    blocks: Blocks  # first configuration blocks; empty: not known
+    missing: tuple[str, ...]  # what the recording lacks, and what that means; for people
+
+
+@dataclass
+class _Found:
+    """What a first reading finds."""
+
+    topics: Counter[str] = field(default_factory=Counter)
+    infos: dict[str, RunInfo] = field(default_factory=dict)  # by topic
+    blocks: dict[str, Blocks] = field(default_factory=dict)
+    troubles: Counter[str] = field(default_factory=Counter)
+
+    def take(self, record: Record) -> None:
+        namespace, _, name = record.topic.rpartition("/")
+        self.topics[record.topic] += 1
+        try:
+            if name == topics.RUN_INFO:
+                self._take_info(namespace, run_info(string_of(record.data)))
+            elif name == topics.TUNING and not self.blocks.get(namespace):
+                self.blocks[namespace] = blocks_from_message(decoded(record.data, record.type))
+        except (ValueError, RunInfoError) as error:
+            self.troubles[f"{record.topic}: {error}"] += 1
+
+    def _take_info(self, namespace: str, info: RunInfo) -> None:
+        """Later documents know more, but not what was lost with the connection."""
+        before = self.infos.get(namespace)
+        if before is None or info.virtual_board is not None or before.virtual_board is None:
+            self.infos[namespace] = info
+
+
+class RecordedRun:
+    """A recording.
+
+    Parameters
+    ----------
+    path : Path
+        As for `RunReader`.
+    namespace : str, optional
+        Of the bridge; by default ``/servo``, or the only one with telemetry of a board.
+
+    Raises
+    ------
+    RunError, RunFileError
+        If it contains no telemetry of a board, or is no recording.
+    OSError
+        If it cannot be read.
+    """
+
+    def __init__(self, path: Path, namespace: str = "") -> None:
+        self.path = path
+        self._reader = RunReader(path)
+        found = _Found()
+        for record in self._reader.records():
+            found.take(record)
+        chosen = _namespace(path, found.topics, namespace)
+        missing = [*self._reader.troubles, *found.troubles]
+        missing += [
+            f"no {chosen}/{name}: {meaning}"
+            for name, meaning in _MEANING.items()
+            if not found.topics[f"{chosen}/{name}"]
+        ]
+        self.contents = Contents(
+            chosen,
+            found.topics,
+            found.infos.get(chosen),
+            found.blocks.get(chosen, {}),
+            tuple(missing),
+        )
+
+    def records(self, *names: str) -> Iterator[tuple[str, Record]]:
+        """Relative names and messages of topics of the board, in the order of the recording."""
+        prefix = f"{self.contents.namespace}/"
+        for record in self._reader.records({prefix + name for name in names}):
+            yield record.topic.removeprefix(prefix), record
+
+
+def message_of(record: Record, name: str) -> Any:
+    """Decoded message of a topic in `BOARD_TOPICS`.
+
+    Raises
+    ------
+    ValueError
+        If it has another type, or is damaged.
+    """
+    expected = _TYPES[name]
+    if record.type != expected:
+        raise ValueError(f"{record.topic} has the type {record.type} instead of {expected}; it is of another version")
+    return decoded(record.data, record.type)
+
+
+_TYPES: Final = {topic.name: f"std_msgs/msg/{topic.message.__name__}" for topic in BOARD_TOPICS}
+
+
+def _namespace(path: Path, seen: Counter[str], wanted: str) -> str:
+    boards = [
+        namespace
+        for topic in seen
+        if (namespace := topic.removesuffix(f"/{topics.SNAPSHOT}")) != topic
+        and f"{namespace}/{topics.RESIDUAL}" not in seen
+    ]
+    if wanted:
+        wanted = topics.within("/", wanted) if wanted.startswith("/") else f"/{wanted.strip('/')}"
+        boards = [name for name in boards if name == wanted]
+    if not boards:
+        names = ", ".join(sorted(seen)[:20]) or "no messages"
+        where = f"{wanted or DEFAULT_NAMESPACE}/{topics.SNAPSHOT}"
+        raise RunError(
+            f"{path} contains no telemetry of a board ({where}) but {names}; record all topics of the bridge"
+        )
+    if len(boards) > 1 and DEFAULT_NAMESPACE not in boards:
+        raise RunError(f"{path} contains the boards {', '.join(boards)}; choose one with --namespace")
+    return DEFAULT_NAMESPACE if DEFAULT_NAMESPACE in boards else boards[0]

@@ -1,0 +1,316 @@
+"""Replay of a recorded run through the twin: the same commands at the same ticks, many times faster than real time."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.run_file.reader import Record
+from servo_msgs_py.text_file import parse_toml
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_msgs_py import topics
+from servo_twin.board import Board
+from servo_twin.diagnosis.change_detector import Estimate
+from servo_twin.diagnosis.monitor import LocatedFinding
+from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
+from servo_twin.level import FAST_LEVEL, Level
+from servo_twin.lockstep.blocks import TAKE, Blocks, checksums_of
+from servo_twin.lockstep.board_topics import BOARD_TOPICS
+from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
+from servo_twin.plant import PlantConfig
+from servo_twin.runs.divergence import Departure, Divergence
+from servo_twin.runs.recorded import Contents, RecordedRun, message_of
+from servo_twin.servo_config import ServoConfig, servo_table
+
+_BURSTS: Final = (topics.RECORDER, topics.RECORDING)
+_REPLAYED: Final = {topic.name: topic for topic in BOARD_TOPICS if topic.name not in _BURSTS}
+_SETTINGS: Final = TwinSettings(report_timeout=1.0, from_reset=600.0)  # nobody waits for the twin
+_GAP: Final = 0.1  # gap of the telemetry that is reported [s]
+_JUMP: Final = 1.0  # jump of the clock of the recording against the ticks of the board that is reported [s]
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """Answers *what if*: replaces what the recording says of the board."""
+
+    plant: PlantConfig | None = None
+    servo: ServoConfig | None = None  # configuration, instead of the recorded blocks
+    level: Level | None = None
+    seed: int | None = None
+
+    @property
+    def nothing(self) -> bool:
+        """Whether everything is as recorded."""
+        return self == WhatIf()
+
+
+@dataclass(frozen=True)
+class Model:
+    """The twin's board."""
+
+    plant: PlantConfig
+    seed: int
+    level: Level
+    servo: ServoConfig | None  # None: compiled in
+    exact: bool  # equal boards give equal numbers: the run is compared bit for bit
+    keeps_configuration: bool  # recorded configuration blocks are repeated
+    notes: tuple[str, ...] = ()  # why it may differ from the recorded board; for people
+
+    def board(self) -> Board:
+        """A new board."""
+        return Board(self.plant, seed=self.seed, level=self.level, servo=self.servo)
+
+
+def model_of(contents: Contents, what_if: WhatIf) -> Model:
+    """Model of the recorded board.
+
+    Raises
+    ------
+    PlantError, TextFileError
+        If the recorded plant is damaged.
+    """
+    notes: list[str] = []
+    info = contents.info
+    virtual = None if info is None else info.virtual_board
+    catalogue = Catalogue.load()
+    if info is not None and info.catalogue and int(info.catalogue, 16) != catalogue.hash:
+        notes.append(
+            f"recorded with another table of variables ({info.catalogue} instead of {catalogue.hash:08x}): "
+            "another version of the firmware"
+        )
+    plant = PlantConfig.load()
+    if virtual is not None:
+        if virtual.plant:
+            plant = PlantConfig.parse(parse_toml(virtual.plant))
+        if virtual.level != FAST_LEVEL:
+            notes.append(f"recorded at level {virtual.level}: equal boards differ within noise")
+        notes += [f"a fault was injected: {fault}" for fault in virtual.faults]
+    exact = virtual is not None and virtual.level == FAST_LEVEL == (what_if.level or FAST_LEVEL)
+    seed = what_if.seed if what_if.seed is not None else virtual.seed if virtual is not None else 1
+    return Model(
+        what_if.plant or plant,
+        seed,
+        what_if.level or FAST_LEVEL,
+        what_if.servo or _recorded_configuration(contents),
+        exact,
+        what_if.servo is None,
+        tuple(notes),
+    )
+
+
+def _recorded_configuration(contents: Contents) -> ServoConfig | None:
+    """Configuration of the firmware with the recorded blocks; None if they are those compiled in."""
+    if not contents.blocks:
+        return None
+    with Board(level=FAST_LEVEL) as board:
+        compiled = board.read_words("config.checksum")
+    if all(compiled[axis] == checksum for axis, checksum in checksums_of(contents.blocks).items()):
+        return None
+    compiled_in = ServoConfig.of_table(servo_table())
+    blocks = tuple(tuple(contents.blocks.get(axis, block)) for axis, block in enumerate(compiled_in.blocks))
+    return replace(compiled_in, blocks=blocks)
+
+
+@dataclass
+class Stretch:
+    """Consecutive samples that were replayed."""
+
+    first: int  # tick
+    last: int  # tick
+    samples: int
+    exact: bool  # compared bit for bit
+    end: str = ""  # why it ended; empty: at the end of the recording
+
+
+@dataclass
+class Replayed:
+    """Result of a replay."""
+
+    stretches: list[Stretch] = field(default_factory=list)
+    samples: int = 0  # in the recording
+    departures: list[Departure] = field(default_factory=list)  # in order
+    first: int | None = None  # first tick of a difference; None: the runs are equal
+    first_exact: bool = False  # the difference was found bit for bit
+    before: dict[str, Estimate] = field(default_factory=dict)  # estimates of the plant before `first`, by name
+    after: dict[str, Estimate] = field(default_factory=dict)  # and at the end
+    findings: list[LocatedFinding] = field(default_factory=list)  # changes of the plant at the end
+    notes: list[str] = field(default_factory=list)  # what could not be replayed, and why
+
+    @property
+    def compared(self) -> int:
+        """Samples that were compared."""
+        return sum(stretch.samples for stretch in self.stretches)
+
+    @property
+    def seconds(self) -> float:
+        """Compared board time [s]."""
+        return sum(stretch.last - stretch.first for stretch in self.stretches) * PERIOD_NS * 1e-9
+
+
+class _WithOwnConfiguration(Twin):
+    """A twin that does not take the configuration of the board."""
+
+    def set_blocks(self, blocks: Blocks) -> None:
+        pass
+
+    def add_command(self, command: AppliedCommand) -> None:
+        if command.variable == TAKE:  # counts, but writes nothing
+            command = AppliedCommand("cmd.enable", command.tick, (0,) * AXES, 0)
+        super().add_command(command)
+
+
+class Replay:
+    """Replays one run.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    model : Model
+        Of the twin's board.
+    calibrated : DiagnosisThresholds, optional
+        Noise of a healthy pair; by default the packaged one of the level.
+    watch : callable, optional
+        Gets every pair, for output.
+    """
+
+    def __init__(
+        self,
+        run: RecordedRun,
+        model: Model,
+        calibrated: DiagnosisThresholds | None = None,
+        watch: Callable[[Pair], None] | None = None,
+    ) -> None:
+        self._run, self._model = run, model
+        self._catalogue = Catalogue.load()
+        kind = Twin if model.keeps_configuration else _WithOwnConfiguration
+        self._twin = kind(model.board, _SETTINGS, self._catalogue)
+        self._divergence = Divergence(
+            model.plant,
+            calibrated or DiagnosisThresholds.load(None, model.level),
+            self._catalogue,
+        )
+        self._watch = watch
+        self._result = Replayed()
+        self._troubles: Counter[str] = Counter()
+        self._synchronisation = 0
+        self._open: Stretch | None = None
+        self._ticks = array("q")
+        self._times = array("q")
+
+    def run(self) -> Replayed:
+        """Replay everything.
+
+        Raises
+        ------
+        RunFileError, OSError
+            If the recording cannot be read.
+        """
+        try:
+            for name, record in self._run.records(*_REPLAYED):
+                self._take(name, record)
+            return self._finished()
+        finally:
+            self._twin.close()
+
+    def _take(self, name: str, record: Record) -> None:
+        if name == topics.WINDING_TEMPERATURES and self._twin.from_reset:
+            return  # those of the twin are exact, the recorded ones are rounded
+        try:
+            _REPLAYED[name].take(self._twin, message_of(record, name), self._catalogue)
+        except ValueError as error:
+            self._troubles[f"{record.topic}: {error}"] += 1
+            return
+        if name != topics.SNAPSHOT:
+            return
+        if (newest := self._twin.newest_tick) is not None:
+            self._ticks.append(newest)
+            self._times.append(record.time_ns)
+        self._step()
+
+    def _step(self) -> None:
+        while True:
+            before = self._twin.tick
+            pairs = self._twin.step(1)
+            if self._twin.synchronisations != self._synchronisation:
+                self._synchronisation = self._twin.synchronisations
+                self._end(self._twin.dropped)
+                self._divergence.interrupt()
+            for pair in pairs:
+                self._compare(pair)
+            if not pairs and self._twin.status:
+                self._end(self._twin.dropped)
+            if not pairs and self._twin.tick == before:
+                return
+
+    def _compare(self, pair: Pair) -> None:
+        exact = self._model.exact and self._twin.from_reset
+        if self._open is None:
+            self._open = Stretch(pair.tick, pair.tick, 0, exact)
+            self._result.stretches.append(self._open)
+        self._open.last = pair.tick
+        self._open.samples += 1
+        if self._divergence.first is None:
+            self._result.first_exact = exact
+        self._divergence.add(pair, exact=exact)
+        if self._watch is not None:
+            self._watch(pair)
+
+    def _end(self, reason: str) -> None:
+        if self._open is not None:
+            self._open.end = reason
+            self._open = None
+
+    def _finished(self) -> Replayed:
+        result, divergence = self._result, self._divergence
+        divergence.interrupt()
+        result.samples = len(self._ticks)
+        result.departures = divergence.ordered()
+        result.findings = divergence.findings()
+        result.first = divergence.first
+        if result.first is None and result.findings:  # seen by the equations only, such as a small change of the supply
+            result.first = min(one.finding.since for one in result.findings)
+        result.before, result.after = dict(divergence.before), divergence.monitor.estimates()
+        result.notes = [*self._run.contents.missing, *self._model.notes]
+        result.notes += [
+            f"{text}{f' ({count} messages)' if count > 1 else ''}" for text, count in self._troubles.items()
+        ]
+        result.notes += self._gaps()
+        for stretch in result.stretches:
+            if stretch.end:
+                result.notes.append(f"{at(stretch.last)}: {stretch.end}")
+        if not result.stretches and self._twin.status:
+            result.notes.append(f"nothing could be replayed: {self._twin.status}")
+        return result
+
+    def _gaps(self) -> list[str]:
+        """Gaps of the telemetry, resets of the board, and jumps of the clock of the recording."""
+        ticks, times = np.array(self._ticks, np.int64), np.array(self._times, np.int64)
+        steps, clock = np.diff(ticks) * PERIOD_NS, np.diff(times)
+        texts = [f"{at(int(ticks[k + 1]))}: the board was reset" for k in np.flatnonzero(steps < 0)]
+        gaps = np.flatnonzero(steps > _GAP * 1e9)
+        if len(gaps):
+            longest = int(gaps[np.argmax(steps[gaps])])
+            count = f"{len(gaps)} gaps" if len(gaps) > 1 else "a gap"
+            texts.append(
+                f"{count} of the telemetry above {_GAP:g} s, the longest {steps[longest] * 1e-9:.2f} s from "
+                f"{at(int(ticks[longest]))}"
+            )
+        jumps = np.flatnonzero((np.abs(clock - steps) > _JUMP * 1e9) & (steps >= 0))
+        texts += [
+            f"{at(int(ticks[k + 1]))}: the clock of the recording jumps by {(clock[k] - steps[k]) * 1e-9:+.1f} s; "
+            "the ticks of the board count"
+            for k in jumps[:5]
+        ]
+        return texts
+
+
+def at(tick: int) -> str:
+    """A tick with its time since the reset."""
+    return f"tick {tick}, {tick * PERIOD_NS * 1e-9:.3f} s"

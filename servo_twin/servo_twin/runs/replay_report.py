@@ -1,0 +1,135 @@
+"""Result of a replay as a line, as text, and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.table_text import aligned
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.diagnosis.report import change_text, estimate_numbers, estimate_text
+from servo_twin.runs.divergence import Departure
+from servo_twin.runs.replay import Replayed, at
+
+_ROWS: Final = 12  # variables in the table
+
+
+def verdict(replayed: Replayed) -> str:
+    """What became of the run, in one line."""
+    how = "bit for bit" if all(stretch.exact for stretch in replayed.stretches) else "within noise"
+    if not replayed.stretches:
+        return "nothing was compared"
+    if replayed.first is None:
+        return f"identical {how} over {replayed.seconds:.1f} s, {replayed.compared} samples"
+    since = min([replayed.first, *(one.finding.since for one in replayed.findings if not replayed.first_exact)])
+    before = "bit for bit" if replayed.first_exact else "within noise"
+    what = [_what(replayed.departures[0])] if replayed.departures else []
+    return f"from {at(since)}: {', '.join([*what, _cause(replayed)])}; before it identical {before}"
+
+
+def _what(first: Departure) -> str:
+    """First variable that left the band, and how."""
+    if first.left is None:
+        return f"{first.variable} differs by {_size(first.largest, first)}, within the noise of a healthy pair"
+    axis, _, name = first.variable.partition(".")
+    more = first.value * first.first > 0.0
+    if name == "speed":
+        return f"{axis} speed {'runs ahead' if more else 'falls behind'} by {_size(abs(first.first), first)}"
+    return f"magnitude of {first.variable} is {_size(abs(first.first), first)} too {'large' if more else 'small'}"
+
+
+def _size(value: float, of: Departure) -> str:
+    return f"{value:.3g} {of.unit}".rstrip()
+
+
+def _cause(replayed: Replayed) -> str:
+    if not replayed.findings:
+        return "no change of the plant explains it"
+    return "; ".join(
+        f"{'bus' if one.axis is None else axis_name(one.axis)} {change_text(one.finding)}" for one in replayed.findings
+    )
+
+
+def text(replayed: Replayed) -> str:
+    """Everything, with the verdict at the end."""
+    lines = [f"{replayed.compared} samples compared over {replayed.seconds:.2f} s of board time"]
+    lines += [
+        f"  {at(one.first)} to {at(one.last)}: {one.samples} samples {'bit for bit' if one.exact else 'within noise'}"
+        for one in replayed.stretches
+    ]
+    if replayed.departures:
+        lines += ["", *aligned(_table(replayed.departures), "<>>>>>"), ""]
+        shown = [name for name in replayed.after if estimate_numbers(replayed.after[name])]
+        rows = [["estimate", "before", "after"]]
+        rows += [
+            [
+                name,
+                *(estimate_text(those[name]) if name in those else "" for those in (replayed.before, replayed.after)),
+            ]
+            for name in shown
+        ]
+        lines += aligned(rows) if shown else []
+    if replayed.notes:
+        lines += ["", "not as in the run:", *(f"  {note}" for note in replayed.notes)]
+    return "\n".join([*lines, "", verdict(replayed)])
+
+
+def _table(departures: list[Departure]) -> list[list[str]]:
+    rows = [["variable", "differs from tick", "beyond noise from", "[s]", "largest", "in noise"]]
+    for one in departures[:_ROWS]:
+        left = "" if one.left is None else str(one.left)
+        seconds = "" if one.left is None else f"{one.left * PERIOD_NS * 1e-9:.3f}"
+        ratio = f"{one.ratio:.2g}" if one.noise else ""
+        rows.append([one.variable, str(one.tick), left, seconds, _size(one.largest, one), ratio])
+    if len(departures) > _ROWS:
+        rows.append([f"and {len(departures) - _ROWS} more", "", "", "", "", ""])
+    return rows
+
+
+def document(replayed: Replayed) -> dict[str, Any]:
+    """Everything as JSON; times are board time since the reset [s]."""
+
+    def estimates(those: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: numbers for name, one in those.items() if (numbers := estimate_numbers(one))}
+
+    return {
+        "verdict": verdict(replayed),
+        "identical": replayed.first is None,
+        "first": None if replayed.first is None else _instant(replayed.first) | {"exact": replayed.first_exact},
+        "compared": {"samples": replayed.compared, "seconds": replayed.seconds},
+        "stretches": [
+            {"from": _instant(s.first), "to": _instant(s.last), "samples": s.samples, "exact": s.exact, "end": s.end}
+            for s in replayed.stretches
+        ],
+        "departures": [
+            {
+                "variable": one.variable,
+                "differs": _instant(one.tick),
+                "beyond_noise": None if one.left is None else _instant(one.left),
+                "difference": one.first,
+                "largest": one.largest,
+                "noise": one.noise,
+                "unit": one.unit,
+            }
+            for one in replayed.departures
+        ],
+        "before": estimates(replayed.before),
+        "after": estimates(replayed.after),
+        "findings": [
+            {
+                "axis": None if one.axis is None else axis_name(one.axis),
+                "kind": one.finding.kind.value,
+                "changes": list(one.finding.changes),
+                "text": change_text(one.finding),
+                "since": _instant(one.finding.since),
+            }
+            for one in replayed.findings
+        ],
+        "notes": replayed.notes,
+    }
+
+
+def _instant(tick: int) -> dict[str, float]:
+    return {"tick": tick, "time": tick * PERIOD_NS * 1e-9}

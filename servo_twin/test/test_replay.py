@@ -1,0 +1,180 @@
+"""Replay of recorded runs: the first divergence and its cause, and what a recording lacks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from servo_tuning.reading import SERVO_TOML
+from servo_twin.board import Board
+from servo_twin.diagnosis.board_pair import Motion
+from servo_twin.plant import PlantConfig
+from servo_twin.runs.command import main
+from servo_twin.validation.simulated_run import SimulatedRun
+
+from servo_msgs_py import topics
+
+SEED = 7
+
+
+def record(
+    path: Path,
+    seconds: float = 4.0,
+    change: Callable[[SimulatedRun], None] | None = None,
+    after: float = 0.0,
+    plant: PlantConfig | None = None,
+    **options: Any,
+) -> int:
+    """Record a run: enable, motion, a change, motion; returns the tick of the change."""
+    with SimulatedRun(path, Board(plant, seed=SEED, level="ideal"), seed=SEED, **options) as run:
+        run.enable()
+        motion = Motion(run, SEED)
+        list(motion.run(seconds))
+        tick = run.real.tick
+        if change is not None:
+            change(run)
+        list(motion.run(after))
+        return tick
+
+
+def replay(path: Path, capsys: pytest.CaptureFixture[str], *options: str, status: int) -> Any:
+    assert main(["replay", str(path), "--json", *options]) == status
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def equal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("runs") / "equal.mcap"
+    record(path, loss=0.01)
+    return path
+
+
+def test_an_equal_board_repeats_the_run_bit_for_bit(equal: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = replay(equal, capsys, status=0)
+    assert result["identical"]
+    assert not result["departures"]
+    (stretch,) = result["stretches"]
+    assert stretch["exact"]
+    assert stretch["from"]["time"] < 0.02
+    assert stretch["to"]["time"] > 4.0
+    assert result["verdict"].startswith("identical bit for bit over")
+
+
+def test_the_first_sample_after_a_change_is_named_with_its_cause(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def rub(run: SimulatedRun) -> None:
+        run.board.set_plant("axis2.friction", 2.1 * run.board.plant.axes[1].friction)
+
+    tick = record(tmp_path / "run.mcap", change=rub, after=4.0)
+    result = replay(tmp_path / "run.mcap", capsys, status=1)
+    assert result["first"]["exact"]
+    assert 0 < result["first"]["tick"] - tick <= 18 * 8
+    (finding,) = result["findings"]
+    assert (finding["axis"], finding["changes"]) == ("axis2", ["friction"])
+    assert result["before"]["axis2.friction"]["value"] == pytest.approx(1.0, abs=0.05)
+    assert result["after"]["axis2.friction"]["value"] == pytest.approx(2.1, abs=0.1)
+    ticks = [one["differs"]["tick"] for one in result["departures"]]
+    assert ticks == sorted(ticks)
+    assert result["departures"][0]["variable"].startswith("axis2.")
+    assert main(["replay", str(tmp_path / "run.mcap")]) == 1
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(f"from tick {result['first']['tick']}, ")
+    assert "axis2 friction 2.1" in last
+
+
+def test_a_board_of_unknown_kind_is_compared_within_noise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record(tmp_path / "run.mcap", info=False)
+    result = replay(tmp_path / "run.mcap", capsys, "--seed", "3", status=0)
+    assert not result["stretches"][0]["exact"]
+    assert any("no /servo/run_info" in note for note in result["notes"])
+
+
+def test_a_heavy_shaft_is_named_within_noise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant = PlantConfig.load()
+    record(tmp_path / "run.mcap", 8.0, plant=plant.with_axis(0, inertia=1.3 * plant.axes[0].inertia), info=False)
+    result = replay(tmp_path / "run.mcap", capsys, status=1)
+    (finding,) = result["findings"]
+    assert (finding["axis"], finding["changes"]) == ("axis1", ["inertia"])
+    assert result["after"]["axis1.inertia"]["value"] == pytest.approx(1.3, abs=0.05)
+
+
+def test_what_if_the_friction_were_larger(equal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text(f"[axis1]\nfriction = {2.0 * PlantConfig.load().axes[0].friction}\n")
+    result = replay(equal, capsys, "--plant", str(plant), status=1)
+    assert result["after"]["axis1.friction"]["value"] == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_if_the_speed_loop_were_slower(equal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "servo.toml"
+    text = SERVO_TOML.read_text()
+    config.write_text(text.replace("speed_bandwidth   = 75.0", "speed_bandwidth   = 60.0"))
+    result = replay(equal, capsys, "--config", str(config), status=1)
+    assert result["first"]["time"] > 0.1  # not before the axes are enabled
+    replay(equal, capsys, "--config", str(SERVO_TOML), status=0)
+
+
+@pytest.mark.parametrize(
+    ("without", "note"),
+    [
+        (topics.PARAMETERS, "the defaults are assumed"),
+        (topics.TUNING, "the one compiled in is assumed"),
+    ],
+)
+def test_what_is_missing_is_said_and_the_rest_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], without: str, note: str
+) -> None:
+    record(tmp_path / "run.mcap", 1.0, without=[without])
+    result = replay(tmp_path / "run.mcap", capsys, status=0)
+    assert any(f"/servo/{without}" in text and note in text for text in result["notes"])
+
+
+def test_without_commands_only_the_time_before_them_is_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(tmp_path / "run.mcap", 3.0, without=[topics.COMMANDS_APPLIED])
+    result = replay(tmp_path / "run.mcap", capsys, status=0)
+    assert result["compared"]["seconds"] < 0.2
+    assert any("missing reports of 1 applied command" in note for note in result["notes"])
+
+
+def test_a_recording_without_telemetry_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record(tmp_path / "run.mcap", 0.5, without=[topics.SNAPSHOT])
+    assert main(["replay", str(tmp_path / "run.mcap")]) == 2
+    assert "contains no telemetry of a board (/servo/snapshot) but /servo/" in capsys.readouterr().err
+    assert main(["replay", str(tmp_path / "none.mcap")]) == 2
+
+
+def test_ticks_count_when_the_clock_of_the_recording_jumps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def jump(run: SimulatedRun) -> None:
+        run.jump_ns = -3_600_000_000_000
+
+    record(tmp_path / "run.mcap", 1.0, jump, 1.0)
+    result = replay(tmp_path / "run.mcap", capsys, status=0)
+    assert len(result["stretches"]) == 1
+    assert result["stretches"][0]["exact"]
+    assert any("the clock of the recording jumps by -3600.0 s" in note for note in result["notes"])
+
+
+def test_a_lost_command_ends_a_stretch_and_the_next_one_begins_at_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def lose(run: SimulatedRun) -> None:
+        run.real.write("cmd.quick_stop", [1, 0], 1)  # not reported
+        run.sample()
+        run.write("cmd.quick_stop", [1.0, 1.0])
+        for _ in range(150):
+            run.sample()
+        run.write("cmd.enable", [1.0, 1.0])
+
+    record(tmp_path / "run.mcap", 1.0, lose, 1.0)
+    result = replay(tmp_path / "run.mcap", capsys, status=0)
+    first, *later = result["stretches"]
+    assert first["exact"]
+    assert "missing reports" in first["end"]
+    assert later
+    assert not any(one["exact"] for one in later)
