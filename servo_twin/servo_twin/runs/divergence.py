@@ -46,6 +46,10 @@ def noise_bands(thresholds: DiagnosisThresholds, supply: float) -> dict[str, flo
     return bands
 
 
+Estimates = Mapping[tuple[int | None, str], Estimate]
+"""Estimates of the plant by axis (None: the bus) and change."""
+
+
 @dataclass
 class Departure:
     """One variable that differs."""
@@ -86,7 +90,7 @@ class Divergence:
     ) -> None:
         self.monitor = DiagnosisMonitor(plant, calibrated)
         self.departures: dict[str, Departure] = {}
-        self.before: Mapping[str, Estimate] = {}  # estimates before the first departure
+        self.before: Estimates = {}  # estimates before the first departure
         self.first: int | None = None  # first tick of a difference; None: none
         self._begin: int | None = None  # first tick since the synchronisation
         self._agreed_from: int | None = None  # first tick of the present agreement, before `_agreed`
@@ -94,7 +98,7 @@ class Divergence:
         self._bands = noise_bands(calibrated, plant.bus.u_source)
         self._catalogue = catalogue
         self._same: deque[Pair] = deque()  # newest identical pairs, of a comparison bit for bit
-        self._history: deque[tuple[int, Mapping[str, Estimate]]] = deque()
+        self._history: deque[tuple[int, Estimates]] = deque()
 
     def add(self, pair: Pair, *, exact: bool) -> None:
         """Compare a pair; `exact`: bit for bit."""

@@ -17,7 +17,6 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
 from servo_twin.board import Board
-from servo_twin.diagnosis.change_detector import Estimate
 from servo_twin.diagnosis.monitor import LocatedFinding
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
 from servo_twin.level import FAST_LEVEL, Level
@@ -25,7 +24,7 @@ from servo_twin.lockstep.blocks import TAKE, Blocks, checksums_of
 from servo_twin.lockstep.board_topics import BOARD_TOPICS
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
-from servo_twin.runs.divergence import Departure, Divergence
+from servo_twin.runs.divergence import Departure, Divergence, Estimates
 from servo_twin.runs.recorded import Contents, RecordedRun, message_of
 from servo_twin.servo_config import ServoConfig, servo_table
 
@@ -138,8 +137,8 @@ class Replayed:
     departures: list[Departure] = field(default_factory=list)  # in order
     first: int | None = None  # first tick of a difference; None: the runs are equal
     first_exact: bool = False  # the difference was found bit for bit
-    before: dict[str, Estimate] = field(default_factory=dict)  # estimates of the plant before `first`, by name
-    after: dict[str, Estimate] = field(default_factory=dict)  # and at the end
+    before: Estimates = field(default_factory=dict)  # of the plant before `first`
+    after: Estimates = field(default_factory=dict)  # and at the end
     findings: list[LocatedFinding] = field(default_factory=list)  # changes of the plant at the end
     notes: list[str] = field(default_factory=list)  # what could not be replayed, and why
 
@@ -276,7 +275,7 @@ class Replay:
         result.first = divergence.first
         if result.first is None and result.findings:  # seen by the equations only, such as a small change of the supply
             result.first = min(one.finding.since for one in result.findings)
-        result.before, result.after = dict(divergence.before), divergence.monitor.estimates()
+        result.before, result.after = divergence.before, divergence.monitor.estimates()
         result.notes = [*self._run.contents.missing, *self._model.notes]
         result.notes += [
             f"{text}{f' ({count} messages)' if count > 1 else ''}" for text, count in self._troubles.items()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import axis_name
@@ -10,7 +9,7 @@ from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.diagnosis.report import change_text, estimate_numbers, estimate_text
-from servo_twin.runs.divergence import Departure
+from servo_twin.runs.divergence import Departure, Estimates
 from servo_twin.runs.replay import Replayed, at
 
 _ROWS: Final = 12  # variables in the table
@@ -61,19 +60,20 @@ def text(replayed: Replayed) -> str:
     ]
     if replayed.departures:
         lines += ["", *aligned(_table(replayed.departures), "<>>>>>"), ""]
-        shown = [name for name in replayed.after if estimate_numbers(replayed.after[name])]
+        shown = [key for key, one in replayed.after.items() if estimate_numbers(one)]
         rows = [["estimate", "before", "after"]]
-        rows += [
-            [
-                name,
-                *(estimate_text(those[name]) if name in those else "" for those in (replayed.before, replayed.after)),
-            ]
-            for name in shown
-        ]
+        for key in shown:
+            both = (estimate_text(those[key]) if key in those else "" for those in (replayed.before, replayed.after))
+            rows.append([_name(key), *both])
         lines += aligned(rows) if shown else []
     if replayed.notes:
         lines += ["", "not as in the run:", *(f"  {note}" for note in replayed.notes)]
     return "\n".join([*lines, "", verdict(replayed)])
+
+
+def _name(key: tuple[int | None, str]) -> str:
+    axis, change = key
+    return change if axis is None else f"{axis_name(axis)}.{change}"
 
 
 def _table(departures: list[Departure]) -> list[list[str]]:
@@ -91,8 +91,8 @@ def _table(departures: list[Departure]) -> list[list[str]]:
 def document(replayed: Replayed) -> dict[str, Any]:
     """Everything as JSON; times are board time since the reset [s]."""
 
-    def estimates(those: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: numbers for name, one in those.items() if (numbers := estimate_numbers(one))}
+    def estimates(those: Estimates) -> dict[str, Any]:
+        return {_name(key): numbers for key, one in those.items() if (numbers := estimate_numbers(one))}
 
     return {
         "verdict": verdict(replayed),
