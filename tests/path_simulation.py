@@ -17,7 +17,6 @@ from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import Follower, PathEvents, Plan
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory_limits import path_limits
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name, numbers
@@ -25,7 +24,7 @@ from servo_msgs_py.convert import AppliedCommand, state_label
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.robot_description import Motor
 from servo_msgs_py.timed_points import periods_ahead
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD, PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.board_memory import BoardError
 from servo_twin.simulation import enable

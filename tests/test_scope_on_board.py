@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from chain import Chain
 from servo_msgs_py.recording_names import telemetry_parts
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import PERIOD, SLOW_PERIODS
 from servo_twin.view import scene
 from servo_twin.view.recording import read_scalars, read_texts
 
@@ -18,7 +18,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 POINTS, BEFORE = 800, 240
 LEVEL = 24.0  # [V], crossed by the noise of the bus
-PERIOD = PERIOD_NS * 1e-9
 
 
 @pytest.fixture

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from servo_bridge.freemaster.commands import Request, ScopeSlot, read_memory, read_scope, set_scope, write_memory
 from servo_bridge.freemaster.frames import AnswerParser, encode_request
 from servo_msgs_py.catalogue import AXES
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import TICK_NS
 from servo_twin.board import Board
 from servo_twin.simulation import enable
 
-TICK_NS: Final = SLOW_PERIODS * PERIOD_NS
 BAUDS: Final = (300_000, 2_000_000)
 """A rate at which the background also reads bytes, and the highest rate: the FIFO is full after 20 us."""
 SPEED: Final = 20_000_000  # raw number of 5 rad/s

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from servo_msgs_py.board_port import choose, write_axis, write_word
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD_NS, TICK
 from servo_tuning.linear import spectral_radius
 from servo_tuning.loops import In, Out
 from servo_tuning.reading import load
 from servo_tuning.tuned import Tuned, tuned
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.rig import COUNT, TICK, features, record, spinning
+from servo_twin.validation.experiments.rig import COUNT, features, record, spinning
 
 CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
 SEED: Final = 1

@@ -18,6 +18,7 @@ from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.timed_points import periods_ahead
+from servo_msgs_py.units import PERIOD
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.answers import Answers
@@ -54,7 +55,6 @@ from servo_bridge.trajectory.follower import Follower
 from servo_bridge.trajectory.line_capacity import SAMPLE_BYTES, PointLine, point_line
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory_limits import path_limits
 from servo_bridge.tuning.service import TuningService
 from servo_bridge.variable_topics import VariableTopics

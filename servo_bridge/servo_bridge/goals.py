@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.units import PERIOD
 
 from servo_bridge.command_context import CommandContext
 from servo_bridge.part import Part
@@ -21,7 +22,6 @@ from servo_bridge.trajectory.goal import CANCELED, Goal, Step
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.message import TrajectoryMessage, check_size
 from servo_bridge.trajectory.path import Path, State
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.tolerances import Phase
 
 _STOP_DELAY = 0.1

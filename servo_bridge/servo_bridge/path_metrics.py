@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD
 
 from servo_bridge.move_metrics import rms
 from servo_bridge.trajectory.path import Path
@@ -15,7 +15,6 @@ from servo_bridge.trajectory.path import Path
 Series = NDArray[np.float64]
 
 _STEPS: Final = 12  # of the Gauss-Newton method; it converges from an error of up to a quarter of a period
-_PERIOD: Final = PERIOD_NS * 1e-9
 _REFERENCE_ERROR: Final = 0.01  # between the path and the set-points of a board that has received all points [rad]
 
 
@@ -67,7 +66,7 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
     return PathFigures(
         duration=path.duration,
         start=start,
-        ticks_apart=round((max(starts) - min(starts)) / _PERIOD),
+        ticks_apart=round((max(starts) - min(starts)) / PERIOD),
         error_rms=tuple(rms(joint) for joint in error[on_path].T),
         error_max=tuple(float(x) for x in np.abs(error[on_path]).max(axis=0)),
         end_error=tuple(float(x) for x in error[time > start + path.duration].mean(axis=0)),
@@ -85,6 +84,6 @@ def _start(time: Series, reference: Series, path: Path, guess: float) -> float:
         velocity = state.velocity[:, 0]
         step = float(np.sum((reference - state.position[:, 0]) * velocity) / np.sum(velocity**2))
         start -= step
-        if abs(step) < 1e-3 * _PERIOD:
+        if abs(step) < 1e-3 * PERIOD:
             break
     return start

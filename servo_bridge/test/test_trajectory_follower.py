@@ -17,11 +17,11 @@ from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.streamer import Streamer
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.waypoints import Waypoints
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.timed_points import TimedPoint, decode_points
+from servo_msgs_py.units import PERIOD
 
 CATALOGUE = Catalogue.load()
 JOINTS = joint_names(DEFAULT_JOINTS)

@@ -16,11 +16,11 @@ from servo_bridge.trajectory.line_capacity import PointLine
 from servo_bridge.trajectory.message import TrajectoryMessage, check_size, converted
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import path_through
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.waypoints import DURATION_MAX, WAYPOINTS_MAX, Waypoints
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 from servo_msgs_py.timed_points import decode_points
+from servo_msgs_py.units import PERIOD
 
 CATALOGUE = Catalogue.load()
 JOINTS = joint_names(DEFAULT_JOINTS)

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from servo_bridge.trajectory.playout import JITTER_MAX, PlayoutClock, PlayoutFigures
 from servo_bridge.trajectory.stream import Stream
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.tracker import Tracker
 from servo_bridge.trajectory.waypoints import Array
+from servo_msgs_py.units import PERIOD
 
 LIMIT = 100.0  # acceleration [rad/s^2]
 LEAD = 0.02  # [s]

@@ -13,8 +13,9 @@ from servo_bridge.trajectory.line_capacity import QUEUE, PointLine, demand, poin
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import cubic, path_through
 from servo_bridge.trajectory.thinning import MERGED_MAX, thinned
-from servo_bridge.trajectory.timed_points import PERIOD, TOLERANCE, TimedPoints, timed_points
+from servo_bridge.trajectory.timed_points import TOLERANCE, TimedPoints, timed_points
 from servo_bridge.trajectory.waypoints import Waypoints
+from servo_msgs_py.units import PERIOD
 
 JOINTS = ["axis1", "axis2"]
 RATIOS = {"axis1": 1.0, "axis2": 5.0}

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import path_through
-from servo_bridge.trajectory.timed_points import PERIOD, TOLERANCE, TimedPoints, timed_points
+from servo_bridge.trajectory.timed_points import TOLERANCE, TimedPoints, timed_points
 from servo_bridge.trajectory.waypoints import Waypoints
+from servo_msgs_py.units import PERIOD
 
 
 def random_path(seed: int, scale: float = 1.0) -> Path:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_configuration
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import TICK
+from servo_msgs_py.units import PERIOD, TICK
 from servo_tuning.configuration import Scales
 from servo_tuning.errors import ConfigError, Table, exactly, higher, lower
 from servo_tuning.formats import GAIN
@@ -22,7 +22,6 @@ from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import LoggedAccess
 from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted, supply
 from servo_measurement.motor_values import Limits
-from servo_measurement.standstill import PERIOD
 from servo_measurement.test_signal import TRIGGER, SweptSine, prepare_test_signal, start_test_signal
 
 PROTECTION: Final = "protection"

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS, TICK
+from servo_msgs_py.units import PERIOD, PERIOD_NS, TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
@@ -44,7 +44,7 @@ from servo_measurement.motor_rig import (
 )
 from servo_measurement.motor_values import Estimate, Limits
 from servo_measurement.speed_runs import balance
-from servo_measurement.standstill import PERIOD, RESISTANCE_MIN, impedance
+from servo_measurement.standstill import RESISTANCE_MIN, impedance
 
 FIRST_KP: Final = 0.05  # V/A; stable above 0.03 mH
 FIRST_KI: Final = 10.0  # V/(A s); stable above 0.05 ohm

@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import PERIOD
 
 from servo_measurement.least_squares import Floats, fit_linear, mean_of
 from servo_measurement.motor_values import Estimate
-from servo_measurement.standstill import PERIOD, Ohmic, switching_share
+from servo_measurement.standstill import Ohmic, switching_share
 
 GAP_MAX: Final = 3  # largest number of consecutive missing samples that are interpolated
 LOST_VOLTAGE_ERROR: Final = 0.3

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD
 
 from servo_measurement.access import MeasurementError
 from servo_measurement.least_squares import Floats, fit_linear, fit_nonlinear
@@ -17,7 +17,6 @@ from servo_measurement.motor_values import Estimate
 
 Complex = NDArray[np.complex128]
 
-PERIOD: Final = PERIOD_NS * 1e-9  # [s]
 RESISTANCE_MIN: Final = 0.02  # of winding and switch [ohm]
 SMOOTHED: Final = 6  # number of neighbouring frequencies whose cross spectra are summed
 

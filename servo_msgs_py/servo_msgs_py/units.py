@@ -18,6 +18,9 @@ PERIOD_NS: Final = 62_500
 SLOW_PERIODS: Final = 8
 """PWM periods per slow loop (0.5 ms, DRM 2.3.2)."""
 
+TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
+"""Length of one slow tick [ns]."""
+
 PERIOD: Final = PERIOD_NS * 1e-9
 """Length of one PWM period [s]."""
 

@@ -14,8 +14,9 @@ from servo_measurement.log import Call, MeasurementLog, repeat
 from servo_measurement.motor_values import Estimate, Limits
 from servo_measurement.rotating_vector import follow_vector
 from servo_measurement.speed_runs import balance
-from servo_measurement.standstill import PERIOD, impedance, ohmic, switching_share
+from servo_measurement.standstill import impedance, ohmic, switching_share
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import PERIOD
 
 Floats = NDArray[np.float64]
 

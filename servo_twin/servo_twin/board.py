@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import SLOW_PERIODS, TICK, TICK_NS
 
-from servo_twin.board_memory import BoardError, BoardMemory, SimulationError
+from servo_twin.board_memory import OUT_OF_RANGE, BoardError, BoardMemory, SimulationError
 from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
@@ -68,7 +68,6 @@ FLASH_BYTES: Final = int(_ideal_module.lib.board_flash_size())
 """Size of `Board.flash_image`."""
 
 _IDLE: Final = (1 << 64) - 1
-_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status: value outside the range of the variable
 
 
 class ChipError(BoardError, SimulationError):
@@ -276,7 +275,7 @@ class Board:
             Raw integers; one field per telemetry variable, named as in the catalogue. `si` converts.
         """
         dtype = self.snapshot_dtype
-        capacity = max(until_ns - self.time_ns, 0) // (PERIOD_NS * SLOW_PERIODS) + 2
+        capacity = max(until_ns - self.time_ns, 0) // TICK_NS + 2
         log = np.zeros(capacity, dtype)
         rows = self._lib.board_record(
             self._board, until_ns, self._ffi.from_buffer("uint8_t[]", log, require_writable=True), capacity
@@ -380,7 +379,7 @@ class Board:
         """Successive recorded snapshots in SI, by catalogue name; `Trace.time` is the time since reset."""
         columns = {name: log[name] * float(self.catalogue[name].lsb) for name in log.dtype.names or ()}
         first = int(log["tick"][0]) // SLOW_PERIODS if log.size else 0
-        return Trace(PERIOD_NS * SLOW_PERIODS * 1e-9, columns, first)
+        return Trace(TICK, columns, first)
 
     # ---- firmware variables -----------------------------------------------------------------------------------------
 
@@ -438,7 +437,7 @@ class Board:
         try:
             self.write_memory(self.address(name) + offset, data)
         except BoardError as error:
-            if error.status != _OUT_OF_RANGE:
+            if error.status != OUT_OF_RANGE:
                 raise BoardError(f"{name}: {error}", error.status) from None
             return False
         return True

@@ -8,12 +8,15 @@ from typing import Any, Final, NamedTuple
 
 _ENTRY_SIZE: Final = 16
 
+OUT_OF_RANGE: Final = 0x97
+"""FreeMASTER status: value outside the range of the variable."""
+
 _STATUS_TEXT: Final[Mapping[int, str]] = {
     0x84: "more bytes than one request can transfer",
     0x86: "wrong number of bytes",
     0x87: "busy",
     0x89: "access denied: not inside one variable, or read-only",
-    0x97: "value outside the range of the variable",
+    OUT_OF_RANGE: "value outside the range of the variable",
 }
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import bus_ripple
-from servo_twin.validation.experiments.rig import TICK
 
 
 def test_every_figure_is_within_its_bound() -> None:

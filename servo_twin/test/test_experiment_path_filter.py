@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import path_filter
-from servo_twin.validation.experiments.rig import TICK
 
 ABLE = 1e9
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from servo_msgs_py.board_port import choose, write_axis
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.experiments import plant_limits
@@ -19,7 +20,7 @@ from servo_twin.validation.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.validation.experiments.rig import COUNT, TICK, record, shaft_counts, spinning
+from servo_twin.validation.experiments.rig import COUNT, record, shaft_counts, spinning
 
 SPEED = 314.0
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.experiments import position
-from servo_twin.validation.experiments.rig import TICK, record, spinning
+from servo_twin.validation.experiments.rig import record, spinning
 
 TARGET = 100
 PLANT = PlantConfig.load()

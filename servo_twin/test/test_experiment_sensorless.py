@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE
 from servo_twin.validation.experiments import minimum_speed, observer, sensorless_load_step, sensorless_stall, start_up
 from servo_twin.validation.experiments.outcome import Outcome
-from servo_twin.validation.experiments.rig import TICK
 from servo_twin.validation.experiments.sensorless import degrees
 from servo_twin.validation.experiments.sensorless_stall import variance_detection_time
 from servo_twin.validation.experiments.start_up import CRITERION_MAX, draws, examine, many

@@ -9,13 +9,14 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from servo_msgs_py.board_port import choose, write_axis
+from servo_msgs_py.units import TICK
 from servo_twin.board import Board
 from servo_twin.fault_injection import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import braking, fault_matrix, levels, rotor_search, start_up
 from servo_twin.validation.experiments.command import run_experiments
-from servo_twin.validation.experiments.rig import TICK, at_level, spinning
+from servo_twin.validation.experiments.rig import at_level, spinning
 from servo_twin.validation.timing.trace import Kind
 
 LEVELS: tuple[Level, ...] = ("ideal", "registers")

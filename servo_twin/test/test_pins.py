@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD
 from servo_twin.board import Board
 from servo_twin.fault_injection import CutWire, StalledCore
 from servo_twin.level import Level
@@ -15,7 +15,6 @@ from servo_twin.plant import PinsPlant, PlantConfig, PlantError
 from servo_twin.simulation import enable
 from servo_twin.validation.experiments.pins import fit
 
-PERIOD = PERIOD_NS * 1e-9
 LEVELS = pytest.mark.parametrize("level", ["ideal", "registers"])
 HOME, LIMIT_MIN, LIMIT_MAX, ENABLE, BRAKE_OPEN = (1 << bit for bit in range(5))
 

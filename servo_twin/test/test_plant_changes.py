@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from servo_msgs_py.board_port import choose, write_axis
+from servo_msgs_py.units import TICK
 from servo_twin.board import Board
 from servo_twin.fault_injection import BadContact, CurrentNoise, DryBearing, ShiftedDisc, WeakMagnet, WornShaft
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.rig import TICK
 from servo_twin.validation.sweep.variant import Base
 
 LEVELS: list[Level] = ["ideal", "registers"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from servo_msgs_py.board_port import active
 from servo_msgs_py.fault_record import FaultRecord
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD
 from servo_twin.board import Board
 from servo_twin.fault_injection import HotPowerStage, OpenPhase, ShortedPhase
 from servo_twin.simulation import enable
@@ -17,7 +17,6 @@ from servo_twin.validation.experiments.named_faults import fault_record
 
 pytestmark = pytest.mark.usefixtures("level")
 
-PERIOD = PERIOD_NS * 1e-9
 AXES = pytest.mark.parametrize("axis", [0, 1])
 
 

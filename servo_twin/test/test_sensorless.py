@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from servo_msgs_py.board_port import active, choose, place, reached, write_axis
 from servo_msgs_py.catalogue import numbers
+from servo_msgs_py.units import TICK_NS
 from servo_twin.board import Board
 from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable, keep_set_points
-from servo_twin.validation.experiments.rig import RPM, TICK_NS, features
+from servo_twin.validation.experiments.rig import RPM, features
 
 STOP, RUN = 2, 3
 PAIRS = 2

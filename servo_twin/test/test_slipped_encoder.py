@@ -8,11 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 from servo_msgs_py.board_port import active, choose, place, write_axis
+from servo_msgs_py.units import TICK
 from servo_twin.board import Board
 from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
-from servo_twin.validation.experiments.rig import TICK, features
+from servo_twin.validation.experiments.rig import features
 
 pytestmark = pytest.mark.usefixtures("level")
 

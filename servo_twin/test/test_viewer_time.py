@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD
 from servo_twin.view.board_time import BoardTime
 
 START = 1_700_000_000_123_456_789  # [ns]
-PERIOD = PERIOD_NS * 1e-9
 
 
 def ticks(*numbers: int) -> NDArray[np.int64]:

@@ -17,8 +17,8 @@ import numpy as np
 from command_sequences import CommandSequence, Setup, Step
 from sensor_msgs.msg import JointState
 from servo_bridge.trajectory.streamer import StreamReport
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.units import PERIOD
 from simulated_bridge import START_NS, WALL_NS
 
 _BAUDS = (115_200, 1_000_000)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from servo_msgs_py.units import PERIOD
 
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import DEGREE, Path, State
 from servo_bridge.trajectory.spline import cubic, quintic
-from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints
+from servo_bridge.trajectory.timed_points import TimedPoints
 
 BLEND_TIME = 0.1
 """Shortest transition to a path that has begun, if the path is long enough [s]."""

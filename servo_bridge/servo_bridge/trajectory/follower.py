@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINTS_PER_WRITE, TimedPoint, encode_points
+from servo_msgs_py.units import PERIOD
 
 from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
@@ -29,7 +30,7 @@ from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.point_queue import PointQueue
 from servo_bridge.trajectory.thinning import thinned
-from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, concatenated, timed_points
+from servo_bridge.trajectory.timed_points import SEGMENT_PERIODS_MIN, TimedPoints, concatenated, timed_points
 
 LEAD: Final = 0.1
 """Time from the newest telemetry to the first point [s]: a sample in transit, two writes, 1.5 ms of the board, and

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.timed_points import POINT_WORDS, POINTS_PER_WRITE
+from servo_msgs_py.units import PERIOD
 
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.waypoints import Array
 
 QUEUE: Final = 14

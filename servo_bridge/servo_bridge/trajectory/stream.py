@@ -12,9 +12,10 @@ import math
 from bisect import bisect_left
 
 import numpy as np
+from servo_msgs_py.units import PERIOD
 
 from servo_bridge.trajectory.playout import PlayoutClock
-from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints
+from servo_bridge.trajectory.timed_points import TimedPoints
 from servo_bridge.trajectory.tracker import Tracker
 
 STEP_PERIODS = 160

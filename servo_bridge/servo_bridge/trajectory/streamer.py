@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Final
 
 from servo_msgs_py.joints import Joint, joint_names
+from servo_msgs_py.units import PERIOD
 
 from servo_bridge.admission import JOIN_DISTANCE
 from servo_bridge.set_points import JointSetPoint
@@ -23,7 +24,6 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.playout import PlayoutFigures
 from servo_bridge.trajectory.shapes import stop
 from servo_bridge.trajectory.stream import STEP_PERIODS, Stream
-from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.tracker import Tracker
 
 _WAITING_MAX: Final = 64

@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.units import PERIOD
 
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import cubic
-from servo_bridge.trajectory.timed_points import PERIOD, TOLERANCE, TimedPoints
+from servo_bridge.trajectory.timed_points import TOLERANCE, TimedPoints
 from servo_bridge.trajectory.waypoints import Array
 
 MERGED_MAX: Final = 16_000

@@ -8,15 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD
 
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import cubic
 from servo_bridge.trajectory.waypoints import Array
-
-PERIOD = PERIOD_NS * 1.0e-9
-"""PWM period, the time unit of the board [s]."""
 
 SEGMENT_PERIODS_MIN = 16
 """Shortest distance of two points, 1 ms [PWM periods]."""

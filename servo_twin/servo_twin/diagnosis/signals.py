@@ -24,7 +24,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD
 
 from servo_twin.plant import AxisPlant, BusPlant
 
@@ -54,7 +54,6 @@ _DEAD_TIME: Final = 0.1
 over several samples."""
 _SMALL_CURRENT: Final = 1.5
 """Voltage noise per difference of two small currents [V/A]: dead time and drops change their sign there."""
-_TICK_TIME: Final = PERIOD_NS * 1e-9  # [s]
 _LIFTED: Final = 0.2  # voltage above the supply from which the bus counts as raised by braking [V]
 _POWERS: Final = tuple((f"{axis_name(axis)}.u_q", f"{axis_name(axis)}.i_q") for axis in range(AXES))
 
@@ -134,7 +133,7 @@ class AxisSignals:
         moving = speed * twin_speed > 0.0 and min(abs(speed), abs(twin_speed)) >= _SPEED_MIN
         sign = math.copysign(1.0, speed) if moving else 0.0
         before, self._tick = self._tick, tick
-        seconds = 0.0 if before is None else (tick - before) * _TICK_TIME
+        seconds = 0.0 if before is None else (tick - before) * PERIOD
         if sign == 0.0 or sign != self._sign or not 0.0 < seconds < _GAP:
             self._filter.reset()
         self._sign = sign
@@ -213,7 +212,7 @@ class BusSignal:
         if before is None:  # a voltage above the twin's supply counts as returned energy
             self._returned = [self._energy(values["u_dc"]) for values in (real, twin)]
             return None
-        seconds = (tick - before) * _TICK_TIME
+        seconds = (tick - before) * PERIOD
         for k, values in enumerate((real, twin)):
             power = sum(1.5 * values[u_q] * values[i_q] for u_q, i_q in _POWERS)
             self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), self._highest)

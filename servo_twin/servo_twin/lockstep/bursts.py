@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, TICK_NS
 from servo_msgs_py.value_text import parse_element
 
 from servo_msgs_py import topics
@@ -28,7 +28,7 @@ from servo_twin.lockstep.samples import ANGLE_DEPENDENT, PER_BOARD, ROTOR_REFERE
 
 _TICK: Final = "tick"
 _UNCHANGED: Final = (_TICK, topics.BURST_TIME, *topics.STAMP_COLUMNS)
-_LOOPS: Final = (PERIOD_NS, PERIOD_NS * SLOW_PERIODS)  # time base by recorder [ns]
+_LOOPS: Final = (PERIOD_NS, TICK_NS)  # time base by recorder [ns]
 _READING: Final = 30.0  # longest time for reading a burst, and largest lag of the twin [s]
 _LATE: Final = 32_000  # sampling continues after "recorder idle", as the burst may arrive later [ticks]
 _MEMORY: Final = 1 << 26  # largest memory of the samples [bytes]

@@ -12,9 +12,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD
 
-_PERIOD: Final = PERIOD_NS * 1e-9
 _ROWS_MAX: Final = 20_000  # ten seconds of the fastest telemetry, more than the largest lag of a twin
 
 
@@ -39,7 +38,7 @@ class BoardTime:
     @property
     def newest(self) -> float:
         """Time of the newest telemetry [s]; 0 before the first."""
-        return 0.0 if self._zero is None else self._zero + self._last_tick * _PERIOD
+        return 0.0 if self._zero is None else self._zero + self._last_tick * PERIOD
 
     def telemetry(self, ticks: NDArray[np.int64], stamps: NDArray[np.int64] | None) -> NDArray[np.float64]:
         """Times of rows of telemetry, which define the time line.
@@ -65,7 +64,7 @@ class BoardTime:
                 if self._zero is None or part[0] < self._last_tick:
                     self._start(int(part[0]), None if stamps is None else int(stamps[first]))
                 assert self._zero is not None
-                times[first:last] = self._zero + part * _PERIOD
+                times[first:last] = self._zero + part * PERIOD
                 self._last_tick = int(part[-1])
                 if stamps is not None:
                     self._store(stamps[first:last], times[first:last])
@@ -76,10 +75,10 @@ class BoardTime:
         if self._zero is None:
             first = 0.0 if stamp is None else max((stamp - self._start_ns) * 1e-9, 0.0)
         else:
-            first = max(self.newest + _PERIOD, -1.0 if stamp is None else self.of_stamp(stamp))
+            first = max(self.newest + PERIOD, -1.0 if stamp is None else self.of_stamp(stamp))
             self.resets += 1
         self.first = min(self.first, first)
-        self._zero = first - tick * _PERIOD
+        self._zero = first - tick * PERIOD
 
     def _store(self, stamps: NDArray[np.int64], times: NDArray[np.float64]) -> None:
         self._stamps = np.concatenate([self._stamps, stamps])[-_ROWS_MAX:]
@@ -88,7 +87,7 @@ class BoardTime:
     def of_ticks(self, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
         """Times [s] of ticks since the last reset; requires telemetry."""
         assert self._zero is not None
-        return self._zero + ticks.astype(np.float64) * _PERIOD
+        return self._zero + ticks.astype(np.float64) * PERIOD
 
     def of_stamps(self, stamps: NDArray[np.int64]) -> NDArray[np.float64]:
         """Times [s] of ROS stamps [ns], interpolated between the stamps of the telemetry."""

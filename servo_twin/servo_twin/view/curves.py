@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.units import PERIOD
 
 _Array = NDArray[np.float64]
 
 _GAP: Final = 0.5  # gap of the data that interrupts a curve [s]
 _FRAME: Final = 1.0 / 30.0  # interval of shaft angles [s]
-_TICK: Final = 62.5e-6  # times are whole ticks [s]
 
 
 class Curves:
@@ -38,7 +38,7 @@ class Curves:
         for name, values in points.items():
             pending = self._points.setdefault(name, ([], []))
             if gap and last is not None:
-                pending[0].append(np.array([last + _TICK]))
+                pending[0].append(np.array([last + PERIOD]))
                 pending[1].append(np.array([np.nan]))
             pending[0].append(times)
             pending[1].append(values)

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import inertia_ratio
-from servo_twin.validation.experiments.rig import RPM, TICK, largest, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, largest, record, set_up, spinning
 
 NAME: Final = "anti-windup"
 HELP: Final = """\

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import active, write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import over_voltage, top_speed
-from servo_twin.validation.experiments.rig import RPM, TICK, largest, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, largest, set_up, spinning
 
 NAME: Final = "braking"
 HELP: Final = """\

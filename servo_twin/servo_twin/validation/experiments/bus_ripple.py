@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import RPM, TICK, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, record, set_up, spinning
 
 NAME: Final = "bus-ripple"
 HELP: Final = """\

@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_tuning.control_loops import control_loops
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.plant_limits import built_in_block
-from servo_twin.validation.experiments.rig import COUNT, TICK
+from servo_twin.validation.experiments.rig import COUNT
 
 
 def displacement(

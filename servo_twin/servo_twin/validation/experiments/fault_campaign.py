@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.board_port import first_fault, place, word
 from servo_msgs_py.table_text import aligned
+from servo_msgs_py.units import TICK, TICK_NS
 
 from servo_msgs_py import argument
 from servo_twin.level import Level
@@ -39,7 +40,7 @@ from servo_twin.validation.experiments.named_faults import (
 )
 from servo_twin.validation.experiments.operating_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.validation.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
-from servo_twin.validation.experiments.rig import TICK, TICK_NS, at_level, level
+from servo_twin.validation.experiments.rig import at_level, level
 
 NAME: Final = "fault-campaign"
 HELP: Final = """\

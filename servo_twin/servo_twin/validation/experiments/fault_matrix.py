@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.board_port import active, first_fault, reached, word, write_axis
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS, TICK
 
 from servo_twin.fault_injection import (
     CurrentNoise,
@@ -34,7 +34,7 @@ from servo_twin.validation.experiments.named_faults import (
 )
 from servo_twin.validation.experiments.operating_states import Bench
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import TICK, fresh_board
+from servo_twin.validation.experiments.rig import fresh_board
 
 NAME: Final = "fault-matrix"
 HELP: Final = """\

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_tuning.field_weakening import largest_torque
 from servo_tuning.field_weakening import top_speed as speed_left
 
@@ -22,7 +23,7 @@ from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import modulation, over_voltage
-from servo_twin.validation.experiments.rig import RPM, TICK, at, record, set_up, spinning
+from servo_twin.validation.experiments.rig import RPM, at, record, set_up, spinning
 
 NAME: Final = "field-weakening"
 HELP: Final = """\

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.units import COUNTS_PER_TURN, TICK
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.dead_time_torque import displacement, response
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import nominal_shafts
-from servo_twin.validation.experiments.rig import COUNT, RPM, TICK, shaft_counts
+from servo_twin.validation.experiments.rig import COUNT, RPM, shaft_counts
 
 NAME: Final = "friction"
 HELP: Final = """\

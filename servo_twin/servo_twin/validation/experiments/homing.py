@@ -14,7 +14,7 @@ from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.board_port import active, word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.units import COUNTS_PER_TURN, TICK_NS
 
 from servo_twin.board import Board
 from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
@@ -22,7 +22,7 @@ from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.pins import fit
 from servo_twin.validation.experiments.plant_limits import ripple
-from servo_twin.validation.experiments.rig import COUNT, TICK_NS, shaft_counts
+from servo_twin.validation.experiments.rig import COUNT, shaft_counts
 
 NAME: Final = "homing"
 HELP: Final = """\

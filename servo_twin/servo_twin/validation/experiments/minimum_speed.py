@@ -10,11 +10,12 @@ import numpy as np
 from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import RPM, TICK
+from servo_twin.validation.experiments.rig import RPM
 from servo_twin.validation.experiments.sensorless import (
     angle_error,
     back_emf,

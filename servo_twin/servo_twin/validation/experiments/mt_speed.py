@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, TICK
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import COUNT, RPM, TICK, edge_shift, features, fresh_board, record
+from servo_twin.validation.experiments.rig import COUNT, RPM, edge_shift, features, fresh_board, record
 
 NAME: Final = "mt-speed"
 HELP: Final = """\

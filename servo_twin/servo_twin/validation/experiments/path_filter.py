@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.board_port import read_axis, word, write_word
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.units import COUNTS_PER_TURN, TICK
 
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.validation.experiments.rig import COUNT, TICK
+from servo_twin.validation.experiments.rig import COUNT
 
 NAME: Final = "path-filter"
 HELP: Final = """\

@@ -13,14 +13,14 @@ from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_msgs_py.board_port import active, choose, place, word, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD_NS, TICK
 
 from servo_twin.board import Board
 from servo_twin.fault_injection import CutWire, Pin
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import COUNT, TICK
+from servo_twin.validation.experiments.rig import COUNT
 
 NAME: Final = "pins"
 HELP: Final = """\

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import choose, write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD, TICK
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.validation.experiments.rig import TICK, record, set_up, spinning
+from servo_twin.validation.experiments.rig import record, set_up, spinning
 
 NAME: Final = "real-shaft"
 HELP: Final = """\
@@ -40,7 +40,6 @@ FAST: Final = 60.0  # [rad/s]
 SLOW: Final = 4.0  # [rad/s]: cogging well within the bandwidth of the speed loop
 SETTLE: Final = 0.4  # [s]
 RING: Final = 0.06  # recording of the resonance [s]
-FINE: Final = PERIOD_NS * 1e-9  # [s]
 
 
 @dataclass(frozen=True)
@@ -169,10 +168,12 @@ def inductance(board: Board, axis: int) -> Comparison:
     resistive = u_0 + slope * (i - i_0)
     step = int(np.argmax(i > 0.5 * (i_0 + i_1)))
     around = slice(step - 16, step + 48)
-    delay = slope * FINE  # a voltage acts one period after the current sample
-    measured = float(np.sum((u - resistive)[around])) * FINE / (i_1 - i_0) - delay
+    delay = slope * PERIOD  # a voltage acts one period after the current sample
+    measured = float(np.sum((u - resistive)[around])) * PERIOD / (i_1 - i_0) - delay
     flux = [shaft.l_q * I_SATURATION * 2.0 * math.sinh(math.asinh(1.5 * x / I_SATURATION) / 3.0) for x in (i_0, i_1)]
-    return Comparison(1e3 * measured, 1e3 * (flux[1] - flux[0]) / (i_1 - i_0), 1e3 * FINE * np.arange(float(u.size)), u)
+    return Comparison(
+        1e3 * measured, 1e3 * (flux[1] - flux[0]) / (i_1 - i_0), 1e3 * PERIOD * np.arange(float(u.size)), u
+    )
 
 
 def resistance(board: Board, axis: int) -> Comparison:
@@ -184,7 +185,7 @@ def resistance(board: Board, axis: int) -> Comparison:
     u, i = step_of_current(board, axis, 1.0, 2.5)
     (u_0, u_1), (i_0, i_1) = levels(u), levels(i)
     warm = shaft.r_s * (1.0 + COPPER * (HOT - board.plant.ambient)) + shaft.r_on
-    return Comparison((u_1 - u_0) / (i_1 - i_0), warm, 1e3 * FINE * np.arange(float(u.size)), u)
+    return Comparison((u_1 - u_0) / (i_1 - i_0), warm, 1e3 * PERIOD * np.arange(float(u.size)), u)
 
 
 def magnet(board: Board, axis: int) -> Comparison:

@@ -17,13 +17,14 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.board_port import read_axis, word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import TICK
 
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.validation.experiments import rig
-from servo_twin.validation.experiments.rig import COUNT, TICK
+from servo_twin.validation.experiments.rig import COUNT
 
 CURRENT_SHARE: Final = 0.8
 """Fraction of the current limit for set-points; the remainder is for the controller."""

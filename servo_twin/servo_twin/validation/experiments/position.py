@@ -11,7 +11,7 @@ import numpy as np
 from servo_msgs_py.board_port import read_axis, word, write_axis, write_word
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.units import COUNTS_PER_TURN, TICK
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
@@ -19,7 +19,7 @@ from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.dead_time_torque import displacement, displacement_at
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import move_speeds, path_settles
-from servo_twin.validation.experiments.rig import COUNT, TICK
+from servo_twin.validation.experiments.rig import COUNT
 
 NAME: Final = "position"
 HELP: Final = """\

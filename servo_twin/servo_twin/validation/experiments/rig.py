@@ -13,19 +13,13 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import active, choose, reached, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, TICK, TICK_NS
 
 from servo_twin.board import Board
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.servo_config import ServoConfig
 from servo_twin.simulation import SimulationError, enable, keep_set_points
-
-TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
-"""One slow tick [ns]."""
-
-TICK: Final = TICK_NS * 1e-9
-"""One slow tick [s]."""
 
 RPM: Final = np.pi / 30.0
 """One revolution per minute [rad/s]."""

@@ -11,12 +11,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import TICK, TICK_NS
 
 from servo_twin.board import Board
 from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import COUNT, TICK, TICK_NS, fresh_board, level
+from servo_twin.validation.experiments.rig import COUNT, fresh_board, level
 
 NAME: Final = "rotor-search"
 HELP: Final = """\

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import choose, read_axis, word, write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK, TICK_NS
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
-from servo_twin.validation.experiments.rig import TICK, TICK_NS, fresh_board
+from servo_twin.validation.experiments.rig import fresh_board
 
 BOOT: Final = 0.03  # reset to STOP [s]
 START_MAX: Final = 3.0  # timeout of a start-up [s]

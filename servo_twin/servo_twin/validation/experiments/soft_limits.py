@@ -12,14 +12,14 @@ import numpy as np
 from servo_msgs_py.board_port import word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.units import COUNTS_PER_TURN, TICK
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import move_speeds, path_settles, ripple
-from servo_twin.validation.experiments.rig import COUNT, TICK, shaft_counts
+from servo_twin.validation.experiments.rig import COUNT, shaft_counts
 
 NAME: Final = "soft-limits"
 HELP: Final = """\

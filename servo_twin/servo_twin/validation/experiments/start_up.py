@@ -15,6 +15,7 @@ import numpy as np
 from servo_msgs_py.board_port import word, write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 
 from servo_msgs_py import argument
 from servo_twin.board import Board
@@ -22,7 +23,7 @@ from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner, run_in_order
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Outcome, Panel, experiment
-from servo_twin.validation.experiments.rig import RPM, TICK, at_level, level
+from servo_twin.validation.experiments.rig import RPM, at_level, level
 from servo_twin.validation.experiments.sensorless import (
     angle_error,
     fault_names,

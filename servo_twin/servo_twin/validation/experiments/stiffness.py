@@ -9,10 +9,11 @@ import numpy as np
 from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import COUNT, TICK, at, record, settling_time, spinning
+from servo_twin.validation.experiments.rig import COUNT, at, record, settling_time, spinning
 
 NAME: Final = "stiffness"
 HELP: Final = """\

@@ -11,13 +11,14 @@ import numpy as np
 from servo_msgs_py.board_port import read_axis, write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.experiments import rig
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.validation.experiments.plant_limits import current_limits, over_voltage, top_speed
-from servo_twin.validation.experiments.rig import RPM, TICK
+from servo_twin.validation.experiments.rig import RPM
 
 NAME: Final = "two-axes"
 HELP: Final = """\

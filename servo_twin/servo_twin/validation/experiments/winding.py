@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import TICK
 from servo_tuning.reading import parse
 from servo_tuning.winding import STEP_TICKS, Winding
 
@@ -17,7 +18,7 @@ from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.simulation import enable
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.validation.experiments.rig import SETTLED, TICK, fresh_board, set_up
+from servo_twin.validation.experiments.rig import SETTLED, fresh_board, set_up
 
 NAME: Final = "winding"
 HELP: Final = """\
