@@ -5,21 +5,32 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from servo_msgs_py.runtime.program import program
+from servo_msgs_py.table_text import aligned
+from servo_msgs_py.trace import Trace
 
 from servo_twin.board import SimulationError
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import FAST_LEVEL, add_level_option, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runs import replay_report
+from servo_twin.runs.alignment import FIT, RESET, START, shift_of
+from servo_twin.runs.compare import Compared, compare, table
+from servo_twin.runs.compare_output import Picture, RerunFile
+from servo_twin.runs.curves import curves_of
+from servo_twin.runs.divergence import noise_bands
 from servo_twin.runs.recorded import RecordedRun
 from servo_twin.runs.replay import Replay, WhatIf, model_of
 from servo_twin.servo_config import ServoConfig, servo_table
 
 DIVERGENCE, BAD_INPUT = 1, 2
+_PICTURES = (".png", ".svg", ".pdf")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -43,7 +54,66 @@ def parser() -> argparse.ArgumentParser:
     )
     replayer.add_argument("--json", action="store_true", help="print the result as JSON")
     replayer.set_defaults(run_command=_replay)
+    comparer = verbs.add_parser(
+        "compare",
+        help="name the largest differences between runs",
+        description="Compares runs with the first one. Exit status: 0 within noise, 1 beyond it, 2 wrong input.",
+    )
+    comparer.add_argument(
+        "runs", type=Path, nargs="+", metavar="RUN", help=".mcap, bag, .rrd of the viewer, .csv of servo-tool record"
+    )
+    comparer.add_argument(
+        "--at",
+        default=FIT,
+        metavar="EVENT",
+        help=f"align at the best {FIT} of the speeds (default), the {RESET} of the board, the {START} of the runs, or "
+        "the first change of a variable: applied_count for the first command",
+    )
+    comparer.add_argument("--namespace", default="", help="of the bridge in the recordings (default: /servo)")
+    comparer.add_argument("--thresholds", type=Path, metavar="FILE", help="noise, from `servo_twin calibrate`")
+    comparer.add_argument("--json", action="store_true", help="print the differences as JSON")
+    comparer.add_argument(
+        "-o", "--output", type=Path, action="append", default=[], metavar="FILE", help=".png, .svg, .pdf or .rrd"
+    )
+    comparer.set_defaults(run_command=_compare)
     return result
+
+
+def _compare(args: argparse.Namespace) -> int:
+    if len(args.runs) < 2:
+        raise ValueError("give at least two runs")
+    if unknown := [path for path in args.output if path.suffix not in (*_PICTURES, ".rrd")]:
+        raise ValueError(f"{unknown[0]}: the name must end with one of {', '.join((*_PICTURES, '.rrd'))}")
+    runs = [curves_of(path, args.namespace) for path in args.runs]
+    titles = {f"run{number}": path.name for number, path in enumerate(args.runs, 1)}
+    reference, *others = titles
+    bands = noise_bands(Thresholds.load(args.thresholds, FAST_LEVEL), PlantConfig.load().bus.u_source)
+    pictures = {path: Picture(titles) for path in args.output if path.suffix in _PICTURES}
+    recordings = [RerunFile(path, titles) for path in args.output if path.suffix == ".rrd"]
+    results: dict[str, Compared] = {}
+    for source, other in zip(others, runs[1:], strict=True):
+
+        def watch(block: Trace, values: Mapping[str, NDArray[np.float64]], source: str = source) -> None:
+            outputs: list[Picture | RerunFile] = [*pictures.values(), *recordings]
+            for output in outputs:
+                output.watch(source, reference, block, values)
+
+        shift = shift_of(runs[0], other, args.at)
+        results[source] = compare(runs[0], other, shift, bands, watch if args.output else None)
+    for path, picture in pictures.items():
+        picture.write(path)
+    for recording in recordings:
+        recording.close()
+    if args.json:
+        print(json.dumps({titles[source]: asdict(one) for source, one in results.items()}, indent=2))
+    else:
+        for source, one in results.items():
+            print(
+                f"{titles[reference]} minus {titles[source]}, shifted by {one.shift:+.4f} s: {one.samples} samples, "
+                f"{one.start:.3f} to {one.end:.3f} s"
+            )
+            print("\n".join(aligned(table(one), "<>>>>")))
+    return DIVERGENCE if any(one.beyond_noise for one in results.values()) else 0
 
 
 def _replay(args: argparse.Namespace) -> int:

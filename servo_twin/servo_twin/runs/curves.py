@@ -1,0 +1,186 @@
+"""Curves of a run from any of its files, in blocks, so that the memory does not grow with the length of the run.
+
+A block is a `Trace` with the column `TIME`: board time [s], rising within a run. Columns have the names of variables.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.convert import snapshot_table
+from servo_msgs_py.run_file.definitions import decoded
+from servo_msgs_py.run_file.reader import Record, RunReader
+from servo_msgs_py.text_file import decoded as text_of
+from servo_msgs_py.trace import Trace
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_msgs_py import topics
+from servo_twin.runs.recorded import DEFAULT_NAMESPACE, RecordedRun, RunError
+from servo_twin.view import scene
+from servo_twin.view.recording import read_scalars
+
+TIME: Final = topics.BURST_TIME
+"""Column with the board time [s]."""
+
+BLOCK: Final = 1 << 14
+"""Samples of a block."""
+
+TICK: Final = "tick"
+_FLOAT64: Final = "std_msgs/msg/Float64MultiArray"
+_CDR_LITTLE: Final = b"\x00\x01"
+_HEAD_BYTES: Final = 1 << 16  # of the first line of a CSV file
+_Array = NDArray[np.float64]
+
+
+class Curves(Protocol):
+    """Curves of a run."""
+
+    @property
+    def path(self) -> Path:
+        """File or folder."""
+
+    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Trace]:
+        """Blocks of these columns and the time, by default of all; each call reads the run anew."""
+
+
+def curves_of(path: Path, namespace: str = "") -> Curves:
+    """Curves of a recording (MCAP, bag, .rrd of the viewer) or of a CSV file of ``servo-tool record``.
+
+    Raises
+    ------
+    RunError, RunFileError, RecordingError
+        If it cannot be read.
+    """
+    if path.suffix == ".csv":
+        return _CsvFile(path)
+    return _RrdFile(path) if path.suffix == ".rrd" else _Snapshots(path, namespace)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Layout of the serialised messages of one table: their beginning is the same but for the number of samples."""
+
+    names: tuple[str, ...]
+    start: int  # of the numbers
+    place: int  # of the names
+    label: bytes  # the names
+
+    @classmethod
+    def of(cls, record: Record) -> _Layout:
+        """Layout of a message.
+
+        Raises
+        ------
+        RunError
+            If it is no telemetry with ticks.
+        """
+        if record.type != _FLOAT64 or record.data[:2] != _CDR_LITTLE:
+            raise RunError(f"{record.topic} has the type {record.type}, big endian, or another version")
+        names, table = snapshot_table(decoded(record.data, record.type))
+        if TICK not in names:
+            raise RunError(f"{record.topic} has no column tick; add it to the parameter telemetry of the bridge")
+        label = ",".join(names).encode()
+        return cls(tuple(names), len(record.data) - 8 * table.size, record.data.rindex(label), label)
+
+    def fits(self, data: bytes) -> bool:
+        """Whether a message has this layout."""
+        row = 8 * len(self.names)
+        return data[self.place : self.place + len(self.label)] == self.label and not (len(data) - self.start) % row
+
+
+class _Snapshots:
+    """Telemetry of a recording."""
+
+    def __init__(self, path: Path, namespace: str) -> None:
+        self.path = path
+        self._reader = RunReader(path)
+        self._topic = f"{namespace or DEFAULT_NAMESPACE}/{topics.SNAPSHOT}"
+        if next(self._reader.records({self._topic}), None) is None:  # which board, or what is wrong
+            self._topic = f"{RecordedRun(path, namespace).contents.namespace}/{topics.SNAPSHOT}"
+
+    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Trace]:
+        layout: _Layout | None = None
+        parts: list[bytes] = []
+        size, last = 0, -np.inf
+        for record in self._reader.records({self._topic}):
+            if layout is None or not layout.fits(record.data):
+                if layout is not None and parts:
+                    last = yield from self._block(layout, parts, names, last)
+                parts, size, layout = [], 0, _Layout.of(record)
+            parts.append(record.data[layout.start :])
+            size += len(record.data) - layout.start
+            if size >= 8 * len(layout.names) * BLOCK:
+                last = yield from self._block(layout, parts, names, last)
+                parts, size = [], 0
+        if layout is not None and parts:
+            yield from self._block(layout, parts, names, last)
+
+    def _block(
+        self, layout: _Layout, parts: list[bytes], names: Sequence[str] | None, last: float
+    ) -> Generator[Trace, None, float]:
+        """The samples of these messages; returns the last time."""
+        table = np.frombuffer(b"".join(parts), "<f8").reshape(-1, len(layout.names))
+        time = table[:, layout.names.index(TICK)] * (PERIOD_NS * 1e-9)
+        if (np.diff(time, prepend=last) < 0.0).any():
+            raise RunError(f"{self.path}: the board was reset at {time[0]:.3f} s; split the recording there")
+        chosen = [name for name in layout.names if names is None or name in names]
+        columns = {name: table[:, layout.names.index(name)] for name in chosen if name not in topics.STAMP_COLUMNS}
+        yield Trace(0.0, {TIME: time, **columns})
+        return float(time[-1])
+
+
+class _RrdFile:
+    """Curves of the viewer: set-points and measured values of both axes."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Trace]:
+        found: dict[str, tuple[_Array, _Array]] = {}
+        for axis, _ in scene.axes():
+            for quantity in scene.QUANTITIES:
+                for source in (scene.BOARD, scene.SET_POINT):
+                    name = quantity.column(source, axis)
+                    times, values = read_scalars(self.path, scene.series_entity(axis, quantity.name, source))
+                    shown = np.isfinite(values)  # NaN: gap
+                    if shown.any():
+                        found[name] = times[shown], values[shown]
+        if not found:
+            raise RunError(f"{self.path} contains no telemetry of a board: record with a connected bridge")
+        time = max((times for times, _ in found.values()), key=len)
+        columns = {name: np.interp(time, *curve) for name, curve in found.items() if names is None or name in names}
+        for begin in range(0, len(time), BLOCK):
+            part = slice(begin, begin + BLOCK)
+            yield Trace(0.0, {TIME: time[part], **{name: column[part] for name, column in columns.items()}})
+
+
+class _CsvFile:
+    """Rows of ``servo-tool record``."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Trace]:
+        with self.path.open("rb") as file:
+            heads = [head.partition(" [")[0] for head in text_of(file.readline(_HEAD_BYTES)).strip().split(",")]
+            if TIME not in heads:
+                raise RunError(f"{self.path} has no column {TIME} in its first line; give a file of servo-tool record")
+            while True:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # the end of the file
+                    try:
+                        table = np.loadtxt(file, delimiter=",", max_rows=BLOCK, ndmin=2)
+                    except ValueError as error:
+                        raise RunError(f"{self.path}: {error}; give a file of servo-tool record") from None
+                if not table.size:
+                    return
+                columns = dict(zip(heads, table.T, strict=True))
+                if TICK in columns:
+                    columns[TIME] = columns[TICK] * (PERIOD_NS * 1e-9)
+                yield Trace(0.0, {n: c for n, c in columns.items() if names is None or n in (TIME, *names)})
