@@ -11,9 +11,11 @@ long calls release the GIL.
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple
 
@@ -66,6 +68,34 @@ _FIRMWARE: Final[Mapping[Level, Firmware]] = {
 
 FLASH_BYTES: Final = int(_ideal_module.lib.board_flash_size())
 """Size of `Board.flash_image`."""
+
+
+def firmware_of(path: Path) -> Firmware:
+    """Another build at level ideal.
+
+    Parameters
+    ----------
+    path : Path
+        Its compiled module ``_native*.so``, or the folder of the checkout with it.
+
+    Raises
+    ------
+    BoardError
+        If there is no such module, or it does not fit this Python.
+    """
+    found = sorted(path.glob("servo_twin/servo_twin/_native*.so")) if path.is_dir() else [path]
+    if not found:
+        raise BoardError(f"{path} contains no compiled virtual board; run `make build` there")
+    spec = importlib.util.spec_from_file_location("_native", found[0])
+    try:
+        if spec is None or spec.loader is None:
+            raise ImportError("the name must end with .so")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    except ImportError as error:
+        raise BoardError(f"{found[0]} is no compiled virtual board for this Python ({error})") from None
+    return Firmware(module.ffi, module.lib)
+
 
 _IDLE: Final = (1 << 64) - 1
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from servo_msgs_py.run_file.reader import RunReader
 from servo_tuning.reading import SERVO_TOML
 from servo_twin.board import Board
 from servo_twin.diagnosis.board_pair import Motion
 from servo_twin.plant import PlantConfig
 from servo_twin.runs.command import main
 from servo_twin.validation.simulated_run import SimulatedRun
+from servo_twin.view.recording import read_scalars
 
+import servo_twin
 from servo_msgs_py import topics
 
 SEED = 7
@@ -115,6 +119,7 @@ def test_what_if_the_speed_loop_were_slower(equal: Path, tmp_path: Path, capsys:
     config.write_text(text.replace("speed_bandwidth   = 75.0", "speed_bandwidth   = 60.0"))
     result = replay(equal, capsys, "--config", str(config), status=1)
     assert result["first"]["time"] > 0.1  # not before the axes are enabled
+    assert result["controllers"] == ["axis1"]
     replay(equal, capsys, "--config", str(SERVO_TOML), status=0)
 
 
@@ -178,3 +183,28 @@ def test_a_lost_command_ends_a_stretch_and_the_next_one_begins_at_rest(
     assert "missing reports" in first["end"]
     assert later
     assert not any(one["exact"] for one in later)
+
+
+def test_both_runs_and_the_residual_are_written(
+    equal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outputs = {suffix: tmp_path / f"replay{suffix}" for suffix in (".mcap", ".rrd", ".json")}
+    options = [option for path in outputs.values() for option in ("-o", str(path))]
+    result = replay(equal, capsys, *options, status=0)
+    assert json.loads(outputs[".json"].read_text()) == result
+    counts = Counter(record.topic for record in RunReader(outputs[".mcap"]).records())
+    assert counts["/servo/snapshot"] == counts["/twin/snapshot"] == result["compared"]["samples"]
+    assert counts["/twin/residual"] > 100
+    times, residuals = read_scalars(outputs[".rrd"], "/plot/axis1/residual/position")
+    assert len(times) == result["compared"]["samples"]
+    assert not residuals.any()
+    assert main(["replay", str(equal), "-o", "run.txt"]) == 2
+
+
+def test_another_build_is_taken_from_its_checkout(
+    equal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checkout = Path(servo_twin.__file__).parents[2]
+    replay(equal, capsys, "--firmware", str(checkout), status=0)
+    assert main(["replay", str(equal), "--firmware", str(tmp_path)]) == 2
+    assert "run `make build` there" in capsys.readouterr().err

@@ -11,13 +11,15 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import program
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.trace import Trace
 
-from servo_twin.board import SimulationError
+from servo_twin.board import BoardError, SimulationError, firmware_of
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import FAST_LEVEL, add_level_option, chosen_level
+from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 from servo_twin.runs import replay_report
 from servo_twin.runs.alignment import FIT, RESET, START, shift_of
@@ -27,10 +29,12 @@ from servo_twin.runs.curves import curves_of
 from servo_twin.runs.divergence import noise_bands
 from servo_twin.runs.recorded import RecordedRun
 from servo_twin.runs.replay import Replay, WhatIf, model_of
+from servo_twin.runs.replay_output import McapOutput, RrdOutput
 from servo_twin.servo_config import ServoConfig, servo_table
 
 DIVERGENCE, BAD_INPUT = 1, 2
 _PICTURES = (".png", ".svg", ".pdf")
+_OUTPUTS: Mapping[str, type[McapOutput | RrdOutput]] = {".mcap": McapOutput, ".rrd": RrdOutput}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,12 +51,21 @@ def parser() -> argparse.ArgumentParser:
     replayer.add_argument("--namespace", default="", help="of the bridge in the recording (default: /servo)")
     replayer.add_argument("--plant", type=Path, metavar="FILE", help="what if: another plant, changes of plant.toml")
     replayer.add_argument("--config", type=Path, metavar="FILE", help="what if: another configuration, a servo.toml")
+    replayer.add_argument(
+        "--firmware",
+        type=Path,
+        metavar="DIR",
+        help="what if: another build, a checkout after `make build`",
+    )
     replayer.add_argument("--seed", type=int, help="seed of the sensor noise (default: recorded, or 1)")
     add_level_option(replayer, "the twin is", FAST_LEVEL)
     replayer.add_argument(
         "--thresholds", type=Path, metavar="FILE", help="noise of a healthy pair, from `servo_twin calibrate`"
     )
     replayer.add_argument("--json", action="store_true", help="print the result as JSON")
+    replayer.add_argument(
+        "-o", "--output", type=Path, action="append", default=[], metavar="FILE", help=".mcap, .rrd or .json"
+    )
     replayer.set_defaults(run_command=_replay)
     comparer = verbs.add_parser(
         "compare",
@@ -79,11 +92,16 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
+def _check_suffixes(paths: Sequence[Path], known: Sequence[str]) -> None:
+    for path in paths:
+        if path.suffix not in known:
+            raise ValueError(f"{path}: the name must end with one of {', '.join(known)}")
+
+
 def _compare(args: argparse.Namespace) -> int:
     if len(args.runs) < 2:
         raise ValueError("give at least two runs")
-    if unknown := [path for path in args.output if path.suffix not in (*_PICTURES, ".rrd")]:
-        raise ValueError(f"{unknown[0]}: the name must end with one of {', '.join((*_PICTURES, '.rrd'))}")
+    _check_suffixes(args.output, (*_PICTURES, ".rrd"))
     runs = [curves_of(path, args.namespace) for path in args.runs]
     titles = {f"run{number}": path.name for number, path in enumerate(args.runs, 1)}
     reference, *others = titles
@@ -123,12 +141,26 @@ def _replay(args: argparse.Namespace) -> int:
         ServoConfig.of_table(servo_table(args.config)) if args.config else None,
         level,
         args.seed,
+        firmware_of(args.firmware) if args.firmware else None,
     )
+    _check_suffixes(args.output, (*_OUTPUTS, ".json"))
     run = RecordedRun(args.run, args.namespace)
     model = model_of(run.contents, what_if)
-    replayed = Replay(run, model, Thresholds.load(args.thresholds, level)).run()
+    outputs = [_OUTPUTS[path.suffix](path) for path in args.output if path.suffix in _OUTPUTS]
+
+    def watch(pair: Pair, torque_constants: Sequence[float]) -> None:
+        for output in outputs:
+            output.watch(pair, torque_constants)
+
+    replayed = Replay(run, model, Thresholds.load(args.thresholds, level), watch if outputs else None).run()
+    for output in outputs:
+        output.close()
+    document = json.dumps(replay_report.document(replayed), indent=2)
+    for path in args.output:
+        if path.suffix == ".json":
+            write_file(path, document + "\n")
     if args.json:
-        print(json.dumps(replay_report.document(replayed), indent=2))
+        print(document)
     else:
         print(replay_report.text(replayed))
     if not replayed.stretches:
@@ -148,7 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(argv)
     try:
         return int(args.run_command(args))
-    except (SimulationError, ValueError) as error:
+    except (BoardError, SimulationError, ValueError) as error:
         print(f"servo-twin: {error}", file=sys.stderr)
         return BAD_INPUT
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -16,7 +16,7 @@ from servo_msgs_py.text_file import parse_toml
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
-from servo_twin.board import Board
+from servo_twin.board import Board, Firmware
 from servo_twin.diagnosis.monitor import LocatedFinding
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
 from servo_twin.level import FAST_LEVEL, Level
@@ -43,11 +43,7 @@ class WhatIf:
     servo: ServoConfig | None = None  # configuration, instead of the recorded blocks
     level: Level | None = None
     seed: int | None = None
-
-    @property
-    def nothing(self) -> bool:
-        """Whether everything is as recorded."""
-        return self == WhatIf()
+    firmware: Firmware | None = None  # another build of firmware and model, at level ideal
 
 
 @dataclass(frozen=True)
@@ -60,11 +56,12 @@ class Model:
     servo: ServoConfig | None  # None: compiled in
     exact: bool  # equal boards give equal numbers: the run is compared bit for bit
     keeps_configuration: bool  # recorded configuration blocks are repeated
+    firmware: Firmware | None = None  # another build; None: that of this checkout
     notes: tuple[str, ...] = ()  # why it may differ from the recorded board; for people
 
     def board(self) -> Board:
         """A new board."""
-        return Board(self.plant, seed=self.seed, level=self.level, servo=self.servo)
+        return Board(self.plant, seed=self.seed, level=self.level, servo=self.servo, firmware=self.firmware)
 
 
 def model_of(contents: Contents, what_if: WhatIf) -> Model:
@@ -100,6 +97,7 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
         what_if.servo or _recorded_configuration(contents),
         exact,
         what_if.servo is None,
+        what_if.firmware,
         tuple(notes),
     )
 
@@ -176,7 +174,7 @@ class Replay:
     calibrated : DiagnosisThresholds, optional
         Noise of a healthy pair; by default the packaged one of the level.
     watch : callable, optional
-        Gets every pair, for output.
+        Gets every pair, and the torque constants of the motors [N m/A].
     """
 
     def __init__(
@@ -184,7 +182,7 @@ class Replay:
         run: RecordedRun,
         model: Model,
         calibrated: DiagnosisThresholds | None = None,
-        watch: Callable[[Pair], None] | None = None,
+        watch: Callable[[Pair, Sequence[float]], None] | None = None,
     ) -> None:
         self._run, self._model = run, model
         self._catalogue = Catalogue.load()
@@ -259,7 +257,7 @@ class Replay:
             self._result.first_exact = exact
         self._divergence.add(pair, exact=exact)
         if self._watch is not None:
-            self._watch(pair)
+            self._watch(pair, self._twin.torque_constants)
 
     def _end(self, reason: str) -> None:
         if self._open is not None:

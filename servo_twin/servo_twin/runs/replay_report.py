@@ -39,13 +39,23 @@ def _what(first: Departure) -> str:
     return f"magnitude of {first.variable} is {_size(abs(first.first), first)} too {'large' if more else 'small'}"
 
 
+def _controllers(replayed: Replayed) -> list[str]:
+    """Axes whose variables differ in the first sample that is not equal bit for bit, if it is not the plant."""
+    if replayed.findings or not replayed.first_exact:
+        return []
+    first = (one.variable for one in replayed.departures if one.tick == replayed.first)
+    return sorted({axis for axis, dot, _ in (name.partition(".") for name in first) if dot})
+
+
 def _size(value: float, of: Departure) -> str:
     return f"{value:.3g} {of.unit}".rstrip()
 
 
 def _cause(replayed: Replayed) -> str:
     if not replayed.findings:
-        return "no change of the plant explains it"
+        controllers = _controllers(replayed)
+        suspect = f": the controller of {' and '.join(controllers)} differs (configuration, parameter or firmware)"
+        return f"no change of the plant explains it{suspect if controllers else ''}"
     return "; ".join(
         f"{'bus' if one.axis is None else axis_name(one.axis)} {change_text(one.finding)}" for one in replayed.findings
     )
@@ -127,6 +137,7 @@ def document(replayed: Replayed) -> dict[str, Any]:
             }
             for one in replayed.findings
         ],
+        "controllers": _controllers(replayed),
         "notes": replayed.notes,
     }
 

@@ -12,7 +12,8 @@ from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.convert import AppliedCommand, applied_message, parameters_message, snapshot_message
 from servo_msgs_py.run_file.definitions import encoded, type_of
 from servo_msgs_py.run_file.run_info import RunInfo, VirtualBoard
-from servo_msgs_py.run_file.writer import RunWriter, Topic
+from servo_msgs_py.run_file.topic import Topic
+from servo_msgs_py.run_file.writer import RunWriter
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import String
 
