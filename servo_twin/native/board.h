@@ -263,6 +263,15 @@ uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uin
 uint32_t board_sampled(board_t *board, uint32_t *next); /* number of valid points, index of the next point */
 void board_sample_end(board_t *board);
 
+/* Write the complete state of a board into `image`: firmware, chip, plant, random generators, flash, bytes on the line. At
+ * register level the board first goes on to the end of the running handlers, less than a PWM period. *size becomes the size of the
+ * image; it is written only if it fits into `room`. NULL, or why the board has no image now. */
+const char *board_save(board_t *board, uint8_t *image, size_t room, size_t *size);
+
+/* Continue from an image of the same build, of any board and process. NULL, or what is wrong with the image; then nothing has
+ * changed. */
+const char *board_restore(board_t *board, const uint8_t *image, size_t size);
+
 /* Address and size of the table of variables for board_read, in the format of FreeMASTER TSA (flags 13h). */
 void board_table(uint32_t *address, uint32_t *size);
 /* CFFI-END */

@@ -1,15 +1,7 @@
 /* The board with the ideal chip and the averaged plant. */
-#include "board_parts.h"
+#include "board_ideal.h"
 
 #include <stdlib.h>
-
-#include "ideal_chip.h"
-
-struct board {
-    servo_t servo;
-    hal_t chip;
-    servo_config_t config;
-};
 
 board_t *board_new(const board_config_t *config)
 {

@@ -8,6 +8,31 @@
 #include "board.h"
 #include "flash.h"
 
+/* A part of struct board that its image leaves out. Of a ring buffer the image contains the bytes in use. */
+typedef struct {
+    size_t offset, size; /* [bytes] */
+    size_t ring_head,
+        ring_used; /* where the index of the first byte in use and their number are (size_t); 0: no ring buffer */
+} board_gap_t;
+
+/* struct board, for board_state.c; pointers and gaps are in ascending order. */
+typedef struct {
+    size_t size; /* [bytes] */
+    const size_t *pointer; /* offset of every pointer */
+    size_t pointers;
+    const board_gap_t *gap;
+    size_t gaps;
+    uint64_t build; /* identity of sources, compiler and options */
+} board_layout_t;
+
+extern const board_layout_t board_layout;
+
+/* Go on to an instant at which the board is nothing but the data in it. NULL, or why there is none. */
+const char *board_rest(board_t *board);
+
+/* The data of the board have been replaced by those of such an instant. */
+void board_restored(board_t *board);
+
 /* The configuration of the servo of a new board. */
 void board_servo_config(const board_config_t *config, servo_config_t *servo);
 

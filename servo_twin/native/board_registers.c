@@ -21,7 +21,6 @@ struct board {
     hal_t hal;
     servo_config_t config;
     double baud; /* of the serial line [bit/s] */
-    void *allocated; /* memory that holds the board */
     uint64_t time_ns;  /* since `zero` [ns] */
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
     bool booted;
@@ -34,6 +33,30 @@ struct board {
     unsigned closed[BOARD_AXES]; /* contacts whose pins are low, a bit per board_pin_t */
     bool up;        /* the port has started the servo */
     bool recording; /* stop after each slow tick */
+};
+
+#include "board_pointers.h"
+
+#define LINE(member) offsetof(struct board, chip.sci.line.member)
+#define LEFT_OUT(member) {.offset = offsetof(struct board, chip.member), .size = sizeof((struct board *)0)->chip.member}
+
+/* The contexts and the stack belong to a process and an address; they are made anew. */
+static const board_gap_t gaps[] = {
+    LEFT_OUT(core.bus.escape),
+    LEFT_OUT(core.inside),
+    LEFT_OUT(core.outside),
+    {LINE(in), SCI_LINE_IN, LINE(in_head), LINE(in_size)},
+    {LINE(out), SCI_LINE_OUT, LINE(out_head), LINE(out_size)},
+    LEFT_OUT(stack),
+};
+
+const board_layout_t board_layout = {
+    .size = sizeof(struct board),
+    .pointer = board_pointers,
+    .pointers = sizeof board_pointers / sizeof board_pointers[0],
+    .gap = gaps,
+    .gaps = sizeof gaps / sizeof gaps[0],
+    .build = BOARD_BUILD,
 };
 
 /* ---- wiring -------------------------------------------------------------------------------------------------------- */
@@ -260,14 +283,17 @@ flash_t *board_flash(board_t *board, uint64_t *now_ns)
 
 /* ---- board.h -------------------------------------------------------------------------------------------------------- */
 
+/* The memory that holds a board; kept in front of it. */
+static void **allocated(board_t *board) { return (void **)(void *)board - 1; }
+
 board_t *board_new(const board_config_t *config)
 {
-    uint8_t *room = (uint8_t *)calloc(1, sizeof(board_t) + SWITCHING_LINE);
+    uint8_t *room = (uint8_t *)calloc(1, sizeof(board_t) + 2 * SWITCHING_LINE);
     if (room == NULL) {
         return NULL;
     }
-    board_t *board = (board_t *)(void *)(room + SWITCHING_LINE - (uintptr_t)room % SWITCHING_LINE);
-    board->allocated = room;
+    board_t *board = (board_t *)(void *)(room + 2 * SWITCHING_LINE - (uintptr_t)room % SWITCHING_LINE);
+    *allocated(board) = room;
     board->baud = config->baud;
     board_servo_config(config, &board->config);
     switching_init(&board->plant, config);
@@ -318,7 +344,7 @@ static void boot_once(board_t *board)
 void board_free(board_t *board)
 {
     if (board != NULL) {
-        free(board->allocated);
+        free(*allocated(board));
     }
 }
 
@@ -351,6 +377,20 @@ static bool run(board_t *board, uint64_t until_ns)
 }
 
 void board_advance(board_t *board, uint64_t until_ns) { (void)run(board, until_ns); }
+
+#define REST_NS UINT64_C(1000000) /* the handlers of sixteen PWM periods have no end: the core is overloaded */
+
+const char *board_rest(board_t *board)
+{
+    boot_once(board);
+    board->chip.core.stop_resting = true;
+    (void)run(board, board->chip.core.resting ? board->time_ns : board->time_ns + REST_NS);
+    board->chip.core.stop_resting = false;
+    return (board->chip.core.resting || board->chip.core.bus.failed) ? NULL
+                                                                     : "the software has not come to rest within 1 ms";
+}
+
+void board_restored(board_t *board) { board->chip.core.alive = false; }
 
 uint64_t board_time_ns(const board_t *board) { return board->time_ns; }
 

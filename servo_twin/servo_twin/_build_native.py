@@ -7,17 +7,25 @@ lists them in ``cffi_modules``, so that setuptools compiles them for pip and col
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
+import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from cffi import FFI
 
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of ``setup.py``, independent of the working directory."""
+
+if str(PACKAGE) not in sys.path:  # setuptools runs this file as a script
+    sys.path.insert(0, str(PACKAGE))
+
+from servo_twin._board_pointers import write_pointers  # noqa: E402
+from servo_twin._core_time import write_charged  # noqa: E402
 
 NATIVE = PACKAGE / "native"
 FIRMWARE = PACKAGE.parent / "firmware"
@@ -83,49 +91,61 @@ def _relative(paths: Iterable[Path]) -> list[str]:
     return [os.path.relpath(path) for path in paths]
 
 
+def _build_identity(files: Iterable[Path], options: Iterable[str]) -> str:
+    """Digest of sources, options and compiler, 16 hexadecimal digits."""
+    compiler = subprocess.run(
+        [*sysconfig.get_config_var("CC").split(), "--version"], capture_output=True, text=True, check=True
+    ).stdout
+    digest = hashlib.sha256(f"{compiler}{[*options]}".encode())
+    for path in files:
+        digest.update(f"{path.name}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def make_ffi(
     module: str,
-    native: Iterable[Path],
-    options: Iterable[str] = (),
-    sources: Iterable[Path] | None = None,
+    native: Sequence[Path],
+    options: Sequence[str] = (),
+    sources: Sequence[Path] | None = None,
 ) -> FFI:
-    """Build description of one extension module; `sources` replaces the sources of the firmware."""
+    """Build description of one extension module; `sources` replaces the sources of the firmware.
+
+    The first file of `native` includes the definition of ``struct board``.
+    """
     headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
+    files = [
+        NATIVE / "board.c",
+        NATIVE / "board_state.c",
+        NATIVE / "flash.c",
+        *native,
+        *sorted((NATIVE / "plant").glob("*.c")),
+        *(sources or firmware_sources()),
+    ]
+    compiled = [*OPTIONS, *WARNINGS, *options, *_EXTRA]
+    pointers = write_pointers(native[0], [NATIVE, FIRMWARE], options, _build_identity([*files, *headers], compiled))
     builder = FFI()
     for header in (NATIVE / "chip" / "trace.h", NATIVE / "board.h"):
         builder.cdef(declarations(header.read_text(encoding="utf-8")))
     builder.set_source(
         module,
         _PREAMBLE,
-        sources=_relative(
-            [
-                NATIVE / "board.c",
-                NATIVE / "flash.c",
-                *native,
-                *sorted((NATIVE / "plant").glob("*.c")),
-                *(sources or firmware_sources()),
-            ]
-        ),
-        include_dirs=_relative([NATIVE, FIRMWARE]),
-        depends=_relative(headers),
+        sources=_relative(files),
+        include_dirs=_relative([NATIVE, FIRMWARE, pointers.parent]),
+        depends=_relative([*headers, pointers]),
         libraries=["m"],
-        extra_compile_args=[*OPTIONS, *WARNINGS, *options, *_EXTRA, f"-isystem{sysconfig.get_paths()['include']}"],
+        extra_compile_args=[*compiled, f"-isystem{sysconfig.get_paths()['include']}"],
         extra_link_args=_EXTRA,
     )
     return builder
 
 
-_IDEAL = [NATIVE / name for name in ("board_ideal.c", "ideal_chip.c", "uart.c")]
+_IDEAL = [NATIVE / name for name in ("board_ideal_layout.c", "board_ideal.c", "ideal_chip.c", "uart.c")]
 _REGISTERS = [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c"))]
 _ON_HOST = ["-DCHIP_ON_HOST"]
 
 
 def charged_sources() -> list[Path]:
     """Sources of firmware and port with execution times for the virtual core."""
-    if str(PACKAGE) not in sys.path:  # setuptools runs this file as a script
-        sys.path.insert(0, str(PACKAGE))
-    from servo_twin._core_time import write_charged
-
     return write_charged(
         [*firmware_sources(), *sorted(PORT.glob("*.c"))], FIRMWARE, _ON_HOST, PACKAGE / "build" / "charged"
     )

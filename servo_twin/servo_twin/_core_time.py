@@ -76,6 +76,11 @@ typedef unsigned long size_t;
 void *memcpy(void *, const void *, size_t); void *memmove(void *, const void *, size_t);
 void *memset(void *, int, size_t); int memcmp(const void *, const void *, size_t);
 """,
+    "stdlib.h": "#include <stddef.h>\nvoid *calloc(size_t, size_t); void free(void *);\n",
+    "math.h": "",
+    # Their contents are those of a machine: no image of a board contains them.
+    "setjmp.h": "typedef struct { int opaque; } jmp_buf[1];\n",
+    "ucontext.h": "typedef struct { int opaque; } ucontext_t;\n",
 }
 
 # ---- cost table: instructions of a Cortex-M3 -------------------------------------------------------------------------

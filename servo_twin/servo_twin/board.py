@@ -27,6 +27,7 @@ from servo_msgs_py.units import SLOW_PERIODS, TICK, TICK_NS
 
 from servo_twin.board_memory import OUT_OF_RANGE, BoardError, BoardMemory, SimulationError
 from servo_twin.board_sampler import BoardSampler
+from servo_twin.board_state import BoardState
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
 from servo_twin.level import Level, chosen_level
@@ -273,6 +274,50 @@ class Board:
         error = self._lib.board_error(self._board)
         if error != self._ffi.NULL:
             raise ChipError(self._ffi.string(error).decode())
+
+    # ---- state ------------------------------------------------------------------------------------------------------
+
+    def state(self) -> BoardState:
+        """Complete state: firmware, chip, plant, random numbers, flash, bytes on the line, injected faults.
+
+        At level ``registers`` the board first goes on to the end of the running interrupt handlers (less than a PWM
+        period); `BoardState.time_ns` is that instant.
+
+        Raises
+        ------
+        BoardError
+            If a sampling is active, or at level ``registers`` if the core is overloaded.
+        """
+        size = self._ffi.new("size_t *")
+        self._check_image(self._lib.board_save(self._board, self._ffi.NULL, 0, size))
+        image = bytearray(size[0])
+        buffer = self._ffi.from_buffer("uint8_t[]", image, require_writable=True)
+        self._check_image(self._lib.board_save(self._board, buffer, len(image), size))
+        return BoardState(self.level, self.time_ns, self._seed, self.plant, tuple(self._injected), bytes(image))
+
+    def restore(self, state: BoardState) -> None:
+        """Continue from a state of any board of the same level: every later bit is that of the other board.
+
+        Raises
+        ------
+        BoardError
+            If the state is from another build or level, or damaged; the board is then unchanged.
+        """
+        self.end_sampling()
+        buffer = self._ffi.from_buffer("uint8_t[]", state.image)
+        self._check_image(self._lib.board_restore(self._board, buffer, len(state.image)))
+        self.plant, self._seed, self._injected = state.plant, state.seed, list(state.faults)
+
+    def copy(self) -> Board:
+        """Another board in the same state (see `state`); each then continues by itself."""
+        state = self.state()
+        board = Board(state.plant, seed=state.seed, catalogue=self.catalogue, level=self.level)
+        board.restore(state)
+        return board
+
+    def _check_image(self, problem: Any) -> None:
+        if problem != self._ffi.NULL:
+            raise BoardError(self._ffi.string(problem).decode())
 
     # ---- time -----------------------------------------------------------------------------------------------------
 

@@ -212,7 +212,10 @@ CHIP_NORETURN static void live(core_t *core)
             core_settle(core);
             bus->changed = bus->background_due; /* due again */
         }
+        core->resting = !bus->changed;
+        core->stop = core->stop || (core->stop_resting && core->resting);
         (void)run_event(core, CHIP_NEVER);
+        core->resting = false;
     }
 }
 
@@ -255,6 +258,7 @@ void core_reset(core_t *core)
     core->horizon = 0;
     core->part = 0;
     core->must_boot = true;
+    core->resting = false;
     core->alive = core->alive && core->running; /* otherwise the context is abandoned */
     core->bus.changed = true;
     core->bus.background_due = false;
@@ -264,7 +268,8 @@ void core_reset(core_t *core)
 void core_init(core_t *core, intc_t *intc, const core_speed_t *speed, uint8_t *stack)
 {
     core->intc = intc;
-    core->speed = *speed;
+    core->speed.cycles_per_instruction = speed->cycles_per_instruction; /* without padding: states are compared */
+    core->speed.entry_clocks = speed->entry_clocks;
     core->stack = stack;
     core->unit_clocks = (uint64_t)(speed->cycles_per_instruction / UNITS * (double)(1u << PART_BITS) + 0.5);
 }

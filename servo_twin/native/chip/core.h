@@ -34,6 +34,8 @@ typedef struct {
     uint64_t part;        /* charged since time last moved, less than a clock [2^-20 clocks] */
     uint64_t limit;       /* last clock of this core_run */
     bool stop;            /* end core_run before the next event */
+    bool stop_resting;    /* end core_run as soon as the core rests */
+    bool resting;         /* no software has begun: a core that is started anew continues in the same way */
     bool must_boot;
     bool alive;           /* `inside` is suspended */
     ucontext_t inside, outside;
