@@ -1,6 +1,7 @@
 /* Common part of both levels: variables, records, faults, the data flash, samples. */
 #include "board_parts.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "app/variables.h"
@@ -8,6 +9,7 @@
 #include "config/axis_members.h"
 #include "config/servo_config.h"
 
+#define BOARD_SPEED_MAX 2000.0 /* of a driven shaft, whose encoder edges are queued [rad/s] */
 #define OPERATION_ROOM 24u /* bytes of an operation of SETREC, at most */
 
 void board_servo_config(const board_config_t *config, servo_config_t *servo)
@@ -58,6 +60,24 @@ void board_set_winding(board_t *board, int axis, double celsius)
 void board_set_winding_estimate(board_t *board, int axis, double celsius)
 {
     board_servo(board)->axis[axis].diagnosis.winding.temperature = (frac32_t)(celsius / 256.0 * 2147483648.0);
+}
+
+const char *board_drive_shaft(board_t *board, int axis, double theta, double omega, double seconds)
+{
+    board_truth_t truth;
+    (void)board_servo(board);
+    board_truth(board, axis, &truth);
+    if (!(seconds > 0.0) || !isfinite(seconds)) {
+        return "the time of the motion is not above 0 s";
+    }
+    if (!(fabs(theta - truth.theta_m) <= BOARD_SPEED_MAX * seconds && fabs(omega) <= BOARD_SPEED_MAX)) {
+        return "the motion is not a number, or faster than 2000 rad/s";
+    }
+    if (board_has_second_mass(board, axis)) {
+        return "the axis has a second mass (load_inertia), but who drives the shaft owns all inertia; set it to 0";
+    }
+    board_drive_rotor(board, axis, theta, omega, seconds);
+    return NULL;
 }
 
 void board_table(uint32_t *address, uint32_t *size)

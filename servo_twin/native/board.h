@@ -113,6 +113,7 @@ typedef struct {
     double omega_m; /* mechanical speed [rad/s] */
     double i_d, i_q; /* [A]; with the ripple at register level */
     double torque_e; /* air-gap torque of these currents [N m] */
+    double impulse_e; /* integral of the air-gap torque since power-on [N m s] */
     double t_sink; /* temperature of the axis' power stage [deg C] */
     double t_winding; /* temperature of the motor's winding [deg C] */
     double u_dc; /* bus voltage [V] */
@@ -173,6 +174,14 @@ void board_set_load(board_t *board, int axis, double torque); /* external load t
 void board_set_supply(board_t *board, double volts); /* open-circuit supply voltage [V] */
 void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft locked */
 void board_obstruct_shaft(board_t *board, int axis, double below, double above); /* end stops, from here [rad] */
+
+/* Coupling with another simulator that owns the inertia of the shaft, its friction, load, end stops, holding brake and cogging: all
+ * of these have no effect in the board any more, and a lock or an obstruction of the shaft ends. Move the shaft from now on to angle
+ * `theta` [rad] and speed `omega` [rad/s] in `seconds`, by a cubic; then it keeps this speed until the next call. The mean air-gap
+ * torque of the step is the difference of impulse_e over its time. NULL, or why the motion is refused. */
+const char *board_drive_shaft(board_t *board, int axis, double theta, double omega, double seconds);
+void board_release_shaft(board_t *board, int axis); /* the board owns the shaft again, with its present motion */
+
 void board_set_encoder(board_t *board, int axis, int connected); /* 0: both lines stuck low */
 void board_cut_encoder(board_t *board, int axis,
                        int line); /* one line stuck low, 0: A, 1: B; board_set_encoder repairs */

@@ -70,6 +70,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .i_d = drive->motor.i_d,
         .i_q = drive->motor.i_q,
         .torque_e = plant_motor_torque(&drive->motor),
+        .impulse_e = drive->impulse,
         .u_a = voltage[0],
         .u_b = voltage[1],
         .u_c = voltage[2],
@@ -115,6 +116,17 @@ void board_obstruct_shaft(board_t *board, int axis, double below, double above)
 {
     plant_motor_obstruct(&drive_of(board, axis)->motor, below, above);
 }
+
+void board_drive_rotor(board_t *board, int axis, double theta, double omega, double seconds)
+{
+    hal_t *chip = &board->chip;
+    const uint64_t reached = (chip->grid_ns > 0) ? chip->grid_ns - chip->plant.step_ns : 0u; /* by the plant */
+    plant_drive_shaft(&chip->plant, axis, theta, omega, seconds, 1e-9 * (double)(chip->now_ns - reached));
+}
+
+void board_release_shaft(board_t *board, int axis) { plant_release_shaft(&board->chip.plant, axis); }
+
+bool board_has_second_mass(const board_t *board, int axis) { return board->chip.plant.axis[axis].shaft.two_masses; }
 
 void board_reverse_encoder(board_t *board, int axis)
 {

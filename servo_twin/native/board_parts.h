@@ -47,6 +47,10 @@ void board_cut_wire(board_t *board, int axis, int pin, bool cut);
 void board_stall_core(board_t *board, double seconds);
 void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared);
 
+/* Drive the shaft of an axis without a second mass: parameters as board_drive_shaft. */
+void board_drive_rotor(board_t *board, int axis, double theta, double omega, double seconds);
+bool board_has_second_mass(const board_t *board, int axis);
+
 /* Temperature of a winding of the plant from now on [deg C]. */
 void board_warm_winding(board_t *board, int axis, double celsius);
 

@@ -453,6 +453,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .i_d = now.i_d,
         .i_q = now.i_q,
         .torque_e = now.torque,
+        .impulse_e = now.impulse,
         .u_a = now.voltage[0] - middle,
         .u_b = now.voltage[1] - middle,
         .u_c = now.voltage[2] - middle,
@@ -522,6 +523,23 @@ void board_obstruct_shaft(board_t *board, int axis, double below, double above)
 {
     switching_obstruct(&board->plant, axis, below, above);
 }
+
+void board_drive_rotor(board_t *board, int axis, double theta, double omega, double seconds)
+{
+    boot_once(board);
+    switching_advance(&board->plant, board->chip.core.bus.now);
+    switching_drive_shaft(&board->plant, axis, theta, omega, seconds);
+    chip_plant_changed(&board->chip);
+}
+
+void board_release_shaft(board_t *board, int axis)
+{
+    switching_advance(&board->plant, board->chip.core.bus.now);
+    switching_release_shaft(&board->plant, axis);
+    chip_plant_changed(&board->chip);
+}
+
+bool board_has_second_mass(const board_t *board, int axis) { return board->plant.shaft[axis].two_masses; }
 
 void board_warm_winding(board_t *board, int axis, double celsius)
 {

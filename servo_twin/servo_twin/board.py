@@ -123,6 +123,7 @@ class Truth(NamedTuple):
     plant is averaged over half cycles."""
     i_q: float  # stator current of the q axis, as `i_d` [A]
     torque_e: float  # air-gap torque of these currents [N m]
+    impulse_e: float  # integral of the air-gap torque since power-on [N m s]
     u_a: float
     """Mean voltage of the motor terminal against the midpoint of `u_dc` [V]; at level ``registers`` over the last
     complete PWM period (62.5 us, counted from power-on), at level ``ideal`` over the last half cycle."""
@@ -686,6 +687,35 @@ class Board:
     def obstruct_shaft(self, axis: int, below: float, above: float) -> None:
         """Set end stops at these distances from the present angle of the shaft [rad]; infinite: none."""
         self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above)
+
+    def drive_shaft(self, axis: int, theta: float, omega: float, seconds: float) -> None:
+        """Move the shaft to an angle and a speed from outside: another simulator owns its inertia (doc/coupling.md).
+
+        From now on load, friction, end stops, holding brake and cogging of the plant have no effect on this axis. The
+        mean air-gap torque of the step is the difference of `Truth.impulse_e` over its time.
+
+        Parameters
+        ----------
+        axis : int
+            Index of the axis.
+        theta, omega : float
+            Mechanical angle [rad] and speed [rad/s] at the end; between, the motion is a cubic.
+        seconds : float
+            Duration of the motion [s], at level ``ideal`` a multiple of half the PWM period. The speed is kept
+            afterwards.
+
+        Raises
+        ------
+        BoardError
+            If the motion is not finite or too fast, or the axis has a second mass.
+        """
+        problem = self._lib.board_drive_shaft(self._board, _axis_index(axis), theta, omega, seconds)
+        if problem != self._ffi.NULL:
+            raise BoardError(f"{axis_name(axis)}: {self._ffi.string(problem).decode()}")
+
+    def release_shaft(self, axis: int) -> None:
+        """End `drive_shaft`: the board owns the shaft again, with its present motion."""
+        self._lib.board_release_shaft(self._board, _axis_index(axis))
 
     def connect_encoder(self, axis: int, connected: bool = True) -> None:
         """Connect or disconnect the encoder of an axis."""

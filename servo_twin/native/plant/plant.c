@@ -1,5 +1,7 @@
 #include "plant/plant.h"
 
+#include <math.h>
+
 #include "plant/inline.h"
 
 static inline motor_lane_t lane_of(plant_drive_t *axis) { return (motor_lane_t){&axis->inverter, &axis->motor}; }
@@ -61,6 +63,11 @@ static bool apply_temperatures(plant_drive_t *axis)
     return true;
 }
 
+static void set_inertia(plant_drive_t *axis)
+{
+    axis->motor.inv_inertia = axis->driven.on ? 0.0 : 1.0 / axis->config.inertia;
+}
+
 static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double pwm_frequency, double step)
 {
     const double noise = plant_faults_noise(&axis->faults.i_noise_configured, axis->config.i_noise, config->i_noise);
@@ -68,6 +75,7 @@ static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double 
     axis->config.i_noise = noise;
     averaged_inverter_change(&axis->inverter, config, pwm_frequency, step);
     plant_motor_change(&axis->motor, config);
+    set_inertia(axis);
     plant_pins_change(&axis->pins, config);
     axis->motor.friction = plant_pins_friction(&axis->pins);
     const double part = step / PLANT_SHAFT_STEPS;
@@ -170,6 +178,11 @@ PLANT_NOINLINE void plant_step(plant_t *plant, uint64_t now_ns)
     plant_drive_t *drive = plant->axis;
     const motor_lane_t lane[2] = {lane_of(&drive[0]), lane_of(&drive[1])};
     const double theta[2] = {drive[0].motor.theta, drive[1].motor.theta};
+    for (int i = 0; i < BOARD_AXES; i++) {
+        if (drive[i].driven.on) {
+            drive[i].motor.omega = driven_shaft_step(&drive[i].driven, theta[i], plant->step);
+        }
+    }
     const double omega[2] = {drive[0].motor.omega, drive[1].motor.omega};
     double charge;
     for (int i = 0; i < BOARD_AXES; i++) {
@@ -197,6 +210,9 @@ PLANT_NOINLINE void plant_step(plant_t *plant, uint64_t now_ns)
         if (axis->faults.has_glitches) {
             inject_glitches(axis, plant->step, now_ns);
         }
+        const double torque = plant_motor_torque(&axis->motor);
+        axis->impulse += (0.5 * plant->step) * (axis->torque + torque);
+        axis->torque = torque;
     }
     (void)supply_take_step(&plant->bus, &plant->bus_step, charge * plant->steps_per_second);
     if (++plant->steps == PLANT_THERMAL_STEPS) {
@@ -206,6 +222,28 @@ PLANT_NOINLINE void plant_step(plant_t *plant, uint64_t now_ns)
 }
 
 void plant_set_load(plant_t *plant, int axis, double torque) { set_load(&plant->axis[axis], torque); }
+
+void plant_drive_shaft(plant_t *plant, int i, double theta, double omega, double duration, double late)
+{
+    plant_drive_t *axis = &plant->axis[i];
+    plant_motor_t *motor = &axis->motor;
+    plant_motor_lock(motor, false);
+    plant_motor_obstruct(motor, INFINITY, INFINITY);
+    driven_shaft_begin(&axis->driven, motor->theta, motor->omega, theta, omega, duration, late);
+    set_inertia(axis);
+    update_pair(plant);
+}
+
+void plant_release_shaft(plant_t *plant, int i)
+{
+    plant_drive_t *axis = &plant->axis[i];
+    if (axis->driven.on) {
+        axis->motor.omega = driven_shaft_speed(&axis->driven);
+        axis->driven.on = false;
+        set_inertia(axis);
+        update_pair(plant);
+    }
+}
 
 void plant_voltages(const plant_t *plant, int axis, double voltage[3])
 {

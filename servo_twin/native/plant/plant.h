@@ -8,6 +8,7 @@
 #include "board.h"
 #include "plant/averaged_inverter.h"
 #include "plant/converter.h"
+#include "plant/driven_shaft.h"
 #include "plant/encoder.h"
 #include "plant/end_stop.h"
 #include "plant/injected_faults.h"
@@ -35,6 +36,9 @@ typedef struct {
     thermal_t winding;
     plant_pins_t pins;
     shaft_t shaft;
+    driven_shaft_t driven;
+    double torque; /* of the air gap at the end of the last step [N m] */
+    double impulse; /* its integral since power-on [N m s] */
     double t_magnet; /* [deg C] */
     double magnet_share; /* decay of the difference to the winding temperature per step of the temperatures, 0..1 [1] */
 } plant_drive_t;
@@ -66,6 +70,10 @@ double plant_resistance(const plant_drive_t *axis);
 
 /* External torque [N m], as board_set_load. */
 void plant_set_load(plant_t *plant, int axis, double torque);
+
+/* As board_drive_shaft, `late` seconds after the last step, and board_release_shaft. */
+void plant_drive_shaft(plant_t *plant, int axis, double theta, double omega, double duration, double late);
+void plant_release_shaft(plant_t *plant, int axis);
 
 /* Voltages of the phases against the midpoint of the bus at the end of the last step [V]. */
 void plant_voltages(const plant_t *plant, int axis, double voltage[3]);

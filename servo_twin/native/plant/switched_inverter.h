@@ -177,6 +177,7 @@ typedef struct {
     double e_copper, e_switch; /* losses in windings, in switches and diodes [J] */
     double e_bus; /* energy drawn from the bus [J] */
     plant_vector_t charge; /* integral of i [A s] */
+    double impulse; /* integral of the torque [N m s] */
     double leg_mean_integral; /* [V s] */
 } switched_inverter_t;
 

@@ -130,6 +130,7 @@ static double accept_step(switched_inverter_t *inv, double h, double u_h, const 
     inv->charge.alpha += e->charge.alpha;
     inv->charge.beta += e->charge.beta;
     inv->leg_mean_integral += inv->leg_mean * h;
+    inv->impulse += (THIRD * h) * (2.0 * inv->torque + (0.5 * h) * inv->dtorque + e->torque);
     inv->psi = e->psi;
     inv->i = e->i;
     inv->theta = e->theta;

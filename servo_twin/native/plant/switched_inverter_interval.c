@@ -73,8 +73,9 @@ void inverter_interval_end(switched_inverter_t *inv)
     e.torque = inv->k_torque * cross(e.psi, e.i);
     const double reluctance =
         (0.5 * h) * (inv->interval.reluctance_torque + e.torque - k_psi * (e.cosine * e.i.beta - e.sine * e.i.alpha));
-    const double impulse = 0.5 * (early + late) + reluctance - h * drag - inv->viscous * (e.theta - inv->theta);
-    inv->omega += standing ? 0.0 : impulse * inv->inv_inertia;
+    const double impulse = 0.5 * (early + late) + reluctance;
+    inv->impulse += impulse;
+    inv->omega += standing ? 0.0 : (impulse - h * drag - inv->viscous * (e.theta - inv->theta)) * inv->inv_inertia;
     inv->theta = e.theta;
     inv->cosine = e.cosine;
     inv->sine = e.sine;

@@ -24,6 +24,7 @@
 
 #include "board.h"
 #include "plant/converter.h"
+#include "plant/driven_shaft.h"
 #include "plant/end_stop.h"
 #include "plant/injected_faults.h"
 #include "plant/noise.h"
@@ -38,7 +39,7 @@
 #define SWITCHING_SHAFT 625u /* step of shafts that need shorter ones than a PWM period, 6.25 us [clocks] */
 #define SWITCHING_LINE 64u /* alignment of a plant, for speed: a cache line [bytes] */
 #define SWITCHING_EVENTS 128u /* size of the queue, a power of two */
-#define SWITCHING_DEFERRED_MAX 132u /* deferred encoder edges of an axis, which fill whole cache lines */
+#define SWITCHING_DEFERRED_MAX 135u /* deferred encoder edges of an axis, which fill whole cache lines */
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {
@@ -64,6 +65,7 @@ typedef struct {
 /* One axis. It is advanced only when its own gates change or something reads it. Clocks are absolute. */
 typedef struct {
     switched_inverter_t inverter;
+    driven_shaft_t driven; /* at the end of the present window */
     quadrature_t encoder;
     thermal_t winding, sink;
     plant_random_t noise;
@@ -194,6 +196,7 @@ typedef struct {
     double t_winding, t_sink, t_magnet; /* [deg C] */
     double theta_load, omega_load, torque_shaft; /* second mass, or the rotor [rad], [rad/s]; between them [N m] */
     double r_s, psi_m, l_d, l_q; /* at the present temperatures; inductances differential [ohm], [V s], [H] */
+    double impulse; /* integral of the torque since clock 0 [N m s] */
     double e_bus; /* drawn from the bus since clock 0 [J] */
     double e_copper, e_switch; /* losses in the windings, in switches and diodes [J] */
     bool over_current;
@@ -222,6 +225,8 @@ void switching_set_load(switching_t *plant, int axis, double torque); /* [N m] *
 void switching_set_supply(switching_t *plant, double volts); /* open-circuit voltage [V] */
 void switching_lock(switching_t *plant, int axis, bool locked); /* shaft */
 void switching_obstruct(switching_t *plant, int axis, double below, double above); /* end stops, from here [rad] */
+void switching_drive_shaft(switching_t *plant, int axis, double theta, double omega, double duration);
+void switching_release_shaft(switching_t *plant, int axis); /* as board_drive_shaft, board_release_shaft */
 void switching_warm_winding(switching_t *plant, int axis, double celsius); /* temperature from now on [deg C] */
 void switching_warm_magnet(switching_t *plant, int axis, double celsius); /* temperature from now on [deg C] */
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */

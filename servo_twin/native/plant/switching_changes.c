@@ -1,8 +1,14 @@
 /* Changes of the switching plant from outside: parameters and inputs. */
+#include <math.h>
 #include <string.h>
 
 #include "plant/switching_axis.h"
 #include "plant/switching_parameters.h"
+
+static void set_inertia(switching_t *plant, int i)
+{
+    plant->axis[i].inverter.inv_inertia = plant->axis[i].driven.on ? 0.0 : 1.0 / plant->parameters[i].inertia;
+}
 
 static void change_axis(switching_t *plant, int i, const board_config_t *config)
 {
@@ -15,6 +21,7 @@ static void change_axis(switching_t *plant, int i, const board_config_t *config)
     thermal_change(&axis->sink, c->sink_capacity, c->sink_resistance);
     switching_apply_axis(plant, i, config);
     switched_inverter_change(inv, c, c->r_s * thermal_copper(&axis->winding));
+    set_inertia(plant, i);
     if (c->magnet_coefficient != 0.0) {
         switched_inverter_set_magnet(inv, switching_magnet_flux(plant, i));
     }
@@ -68,6 +75,27 @@ void switching_obstruct(switching_t *plant, int axis, double below, double above
     switched_inverter_t *inverter = switching_prepare_change(plant, axis);
     inverter->stop_min = inverter->theta - below;
     inverter->stop_max = inverter->theta + above;
+}
+
+void switching_drive_shaft(switching_t *plant, int i, double theta, double omega, double duration)
+{
+    switched_inverter_t *inverter = switching_prepare_change(plant, i);
+    inverter->locked = false;
+    inverter->stop_min = -INFINITY;
+    inverter->stop_max = INFINITY;
+    driven_shaft_begin(&plant->axis[i].driven, inverter->theta, inverter->omega, theta, omega, duration, 0.0);
+    set_inertia(plant, i);
+    inverter->omega =
+        driven_shaft_step(&plant->axis[i].driven, inverter->theta, seconds(plant->now, plant->window_clock));
+}
+
+void switching_release_shaft(switching_t *plant, int i)
+{
+    if (plant->axis[i].driven.on) {
+        switching_prepare_change(plant, i)->omega = driven_shaft_speed(&plant->axis[i].driven);
+        plant->axis[i].driven.on = false;
+        set_inertia(plant, i);
+    }
 }
 
 /* The resistance follows at the next step of the temperatures. */

@@ -31,18 +31,32 @@ static void update_temperatures(switching_t *plant)
     supply_warm(&plant->supply, h);
 }
 
-/* Update the torque of end stops, shaft and cogging on a rotor. */
-static void update_load(switching_t *plant, int i)
+/* The shaft of an axis moves otherwise than extrapolated. */
+static switched_inverter_t *change_motion(switching_t *plant, int i)
 {
     switched_inverter_t *inv = &plant->axis[i].inverter;
     switched_inverter_sync(inv);
+    inv->segment_valid = false;
+    inv->trajectory_changed = true;
+    plant->stale = true;
+    return inv;
+}
+
+/* Mean speed of a driven shaft in the next window. */
+static void move_driven_shaft(switching_t *plant, int i)
+{
+    switched_inverter_t *inv = change_motion(plant, i);
+    inv->omega = driven_shaft_step(&plant->axis[i].driven, inv->theta, (double)plant->window * CLOCK);
+}
+
+/* Update the torque of end stops, shaft and cogging on a rotor. */
+static void update_load(switching_t *plant, int i)
+{
+    switched_inverter_t *inv = change_motion(plant, i);
     inv->load = end_stop_load(&plant->stop[i], inv->theta, inv->omega);
     if (plant->shaft[i].fine) {
         inv->load += shaft_step(&plant->shaft[i], inv->theta, inv->omega, SHAFT_STEP);
     }
-    inv->segment_valid = false;
-    inv->trajectory_changed = true;
-    plant->stale = true;
 }
 
 void switching_step_shafts(switching_t *plant)
@@ -66,7 +80,9 @@ void switching_end_window(switching_t *plant)
         for (int k = 0; k < 3; k++) {
             axis->voltage[k] = (now.volts[k] - axis->window.volts[k]) * per_h;
         }
-        if (plant->stop[i].stiffness > 0.0 && !plant->shaft[i].fine) {
+        if (plant->axis[i].driven.on) {
+            move_driven_shaft(plant, i);
+        } else if (plant->stop[i].stiffness > 0.0 && !plant->shaft[i].fine) {
             update_load(plant, i);
         }
     }

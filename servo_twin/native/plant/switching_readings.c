@@ -79,6 +79,7 @@ void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
         .i_d = inv->i.alpha * inv->cosine + inv->i.beta * inv->sine,
         .i_q = inv->i.beta * inv->cosine - inv->i.alpha * inv->sine,
         .torque = inv->torque,
+        .impulse = inv->impulse,
         .theta_load = two ? shaft->theta - rest * (shaft->omega - 0.5 * rest * shaft->accel) : inv->theta,
         .omega_load = two ? shaft->omega - rest * shaft->accel : inv->omega,
         .torque_shaft = two ? shaft->torque : 0.0,
