@@ -41,7 +41,6 @@ from servo_bridge.outcome import error_of
 from servo_bridge.parameter_sync import ParameterSync
 from servo_bridge.parameters import Settings
 from servo_bridge.part import Part
-from servo_bridge.path_commands import PathCommands
 from servo_bridge.publications import Publications
 from servo_bridge.sample_clocks import SampleClocks
 from servo_bridge.set_point_queue import CommandWrite
@@ -56,6 +55,7 @@ from servo_bridge.trajectory.line_capacity import SAMPLE_BYTES, PointLine, point
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory_limits import path_limits
+from servo_bridge.trajectory_topic import TrajectoryTopic
 from servo_bridge.tuning.service import TuningService
 from servo_bridge.variable_topics import VariableTopics
 from servo_bridge.wire.keep_alive import keep_alive_period
@@ -171,7 +171,7 @@ class Assembly:
         self.storage = StorageService(context, node)
         self._entities = [
             SetPointTopics(self.commands),
-            PathCommands(self.commands, self.goals, answers, settings.goal_defaults, self._warn),
+            TrajectoryTopic(self.commands, self.goals, answers, settings.goal_defaults, self._warn),
             self._follow_action(watch),
             DeferredService(node, SetBool, topics.ENABLE, lambda request: self.motion.enable(request.data)),
             DeferredService(node, Trigger, topics.QUICK_STOP, lambda _: self.motion.quick_stop()),

@@ -10,7 +10,7 @@ import pytest
 from bridge_rig import FAULT, SPIN, Rig
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
-from servo_bridge.path_commands import Lease
+from servo_bridge.trajectory_topic import Lease
 from servo_msgs_py.answers import LEASE_TIMEOUT, TICKET, Answer, Phase, answer_from_message, answer_message, new_ticket
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import answers_qos, command_qos
@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from test_trajectory_topics import trajectory
 from trajectory_msgs.msg import JointTrajectory
 
-from servo_bridge import path_commands
+from servo_bridge import trajectory_topic
 from servo_msgs_py import topics
 
 CATALOGUE = Catalogue.load()
@@ -105,7 +105,7 @@ def sender(monkeypatch: pytest.MonkeyPatch) -> Iterator[Sender]:
             rig.link.parameters[variable.name] = [variable.to_raw(value)] * 2
         rig.enable_axes()
         rig.until(lambda: rig.messages[topics.PARAMETERS])
-        monkeypatch.setattr(path_commands, "LEASE_TIMEOUT", 600.0)
+        monkeypatch.setattr(trajectory_topic, "LEASE_TIMEOUT", 600.0)
         yield Sender(rig)
 
 
@@ -171,7 +171,7 @@ def test_path_that_is_not_followed_to_its_end_is_aborted(sender: Sender, event: 
 
 @pytest.mark.realtime
 def test_sender_that_ends_stops_the_joints(sender: Sender, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_commands, "LEASE_TIMEOUT", 0.5)
+    monkeypatch.setattr(trajectory_topic, "LEASE_TIMEOUT", 0.5)
     running(sender)
     end = time.monotonic() + 1.0
 
@@ -193,7 +193,7 @@ def test_sender_that_ends_stops_the_joints(sender: Sender, monkeypatch: pytest.M
 def test_sender_that_ends_before_the_start_of_its_trajectory_stops_nothing(
     sender: Sender, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(path_commands, "LEASE_TIMEOUT", 0.2)
+    monkeypatch.setattr(trajectory_topic, "LEASE_TIMEOUT", 0.2)
     message = trajectory(*LONG)
     message.header.stamp.sec = int(time.time()) + 100
     sender.ticket = message.header.frame_id = f"{TICKET}later"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import State
-from servo_bridge.trajectory.tolerances import GoalMonitor, Phase, Tolerance, goal_time_from, tolerances_from
+from servo_bridge.trajectory.tolerances import Phase, Tolerance, ToleranceCheck, goal_time_from, tolerances_from
 
 JOINTS = ("axis1", "axis2")
 WIDE = dict.fromkeys(JOINTS, Tolerance())
@@ -58,29 +58,29 @@ def test_goal_time_is_the_requested_or_the_default_one() -> None:
 
 
 def test_a_goal_is_reached_at_the_end_and_not_before() -> None:
-    monitor = GoalMonitor(PATH, GOAL, 2.0, 0.5)
-    assert monitor.update(1.999, ZERO, ZERO).phase is Phase.RUNNING
-    outcome = monitor.update(2.0, ZERO, off(0.1, 0.01))
+    check = ToleranceCheck(PATH, GOAL, 2.0, 0.5)
+    assert check.update(1.999, ZERO, ZERO).phase is Phase.RUNNING
+    outcome = check.update(2.0, ZERO, off(0.1, 0.01))
     assert (outcome.phase, outcome.code) == (Phase.SUCCEEDED, ErrorCode.SUCCESSFUL)
-    assert monitor.update(3.0, ZERO, off(9.0)) is outcome
+    assert check.update(3.0, ZERO, off(9.0)) is outcome
 
 
 def test_goal_is_aborted_after_the_goal_time() -> None:
-    monitor = GoalMonitor(PATH, GOAL, 2.0, 0.5)
-    assert monitor.update(2.49, ZERO, off(0.2)).phase is Phase.RUNNING
-    outcome = monitor.update(2.51, ZERO, off(0.2))
+    check = ToleranceCheck(PATH, GOAL, 2.0, 0.5)
+    assert check.update(2.49, ZERO, off(0.2)).phase is Phase.RUNNING
+    outcome = check.update(2.51, ZERO, off(0.2))
     assert (outcome.phase, outcome.code) == (Phase.ABORTED, ErrorCode.GOAL_TOLERANCE_VIOLATED)
     assert outcome.text == (
         "Aborted due to goal_time_tolerance exceeding by 0.010000 seconds: position of axis2 deviates by 0.2 rad, "
         "tolerance 0.1 rad"
     )
-    late = GoalMonitor(PATH, GOAL, 2.0, 0.5)
+    late = ToleranceCheck(PATH, GOAL, 2.0, 0.5)
     assert late.update(2.4, ZERO, off(0.0, 0.02)).phase is Phase.RUNNING
     assert late.update(2.5, ZERO, off(0.05)).phase is Phase.SUCCEEDED
 
 
 def test_goal_time_of_zero_is_a_finite_time() -> None:
-    assert GoalMonitor(PATH, GOAL, 2.0, 0.0).update(2.0, ZERO, off(0.2)).phase is Phase.ABORTED
+    assert ToleranceCheck(PATH, GOAL, 2.0, 0.0).update(2.0, ZERO, off(0.2)).phase is Phase.ABORTED
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_goal_time_of_zero_is_a_finite_time() -> None:
     ],
 )
 def test_path_tolerance_is_checked_during_the_motion(actual: State, violated: str) -> None:
-    outcome = GoalMonitor(PATH, WIDE, 2.0, 0.5).update(1.0, ZERO, actual)
+    outcome = ToleranceCheck(PATH, WIDE, 2.0, 0.5).update(1.0, ZERO, actual)
     if not violated:
         assert outcome.phase is Phase.RUNNING
         return

@@ -13,7 +13,7 @@ from enum import Enum
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import State
-from servo_bridge.trajectory.tolerances import GoalMonitor, Outcome, Phase, Tolerance
+from servo_bridge.trajectory.tolerances import Outcome, Phase, Tolerance, ToleranceCheck
 
 PREEMPTED = "Current goal preempted by new incoming action."
 """Text of joint_trajectory_controller for a replaced goal."""
@@ -66,7 +66,7 @@ class Goal:
         self.outcome = Outcome(Phase.RUNNING)  # result, once `ended`
         self.canceled = False  # whether it was ended by a cancel request
         self._tolerances = path, goal, goal_time
-        self._monitor: GoalMonitor | None = None
+        self._check: ToleranceCheck | None = None
         self._canceling = self._stopping = False
         self._stopped_at = math.inf
 
@@ -78,16 +78,16 @@ class Goal:
     @property
     def moving(self) -> bool:
         """True while the path is followed."""
-        return self._monitor is not None and not self.ended and not self._stopping
+        return self._check is not None and not self.ended and not self._stopping
 
     # ---- events of the path
     def begun(self, end: float) -> None:
         """The path has begun; it ends at a time [s]."""
-        self._monitor = GoalMonitor(*self._tolerances[:2], end, self._tolerances[2])
+        self._check = ToleranceCheck(*self._tolerances[:2], end, self._tolerances[2])
 
     def postponed(self) -> None:
         """The first points have reached the board too late; the path will begin later."""
-        self._monitor = None
+        self._check = None
 
     def refused(self, error: Rejected) -> None:
         """The path was refused."""
@@ -133,16 +133,16 @@ class Goal:
             phase, text = (Phase.ABORTED, CANCELED) if self._canceling else (Phase.SUCCEEDED, STOPPED)
             self.outcome = Outcome(phase, ErrorCode.SUCCESSFUL, text)
             return Step.END
-        if self._canceling and self._monitor is None:
+        if self._canceling and self._check is None:
             self.canceled = True
             self.outcome = Outcome(Phase.ABORTED, ErrorCode.SUCCESSFUL, WITHDRAWN)
             return Step.WITHDRAW
         if self._canceling:
             self._stopping = True
             return Step.STOP
-        if self._monitor is None or desired is None:
+        if self._check is None or desired is None:
             return Step.NOTHING
-        self.outcome = self._monitor.update(time, desired, actual)
+        self.outcome = self._check.update(time, desired, actual)
         return Step.NOTHING if self.outcome.phase is Phase.RUNNING else Step.END
 
     def _abort(self, code: ErrorCode, text: str) -> None:

@@ -95,7 +95,7 @@ def goal_time_from(requested: float, default: float) -> float:
     return requested or default
 
 
-class GoalMonitor:
+class ToleranceCheck:
     """Compares a motion with its path until the goal has succeeded or failed.
 
     Parameters

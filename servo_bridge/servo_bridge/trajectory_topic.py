@@ -88,7 +88,7 @@ class _Sender:
         self._answer(Answer(self._ticket, _SOURCE, phase, text, int(code)))
 
 
-class PathCommands:
+class TrajectoryTopic:
     """Subscriptions of trajectories and of their leases.
 
     Parameters
