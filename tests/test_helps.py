@@ -36,17 +36,24 @@ def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser
                 yield from parsers(command)
 
 
-@pytest.mark.parametrize("module", PROGRAMS)
-def test_help_fits_into_80_columns(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def main_parser(module: str, monkeypatch: pytest.MonkeyPatch) -> argparse.ArgumentParser:
+    """Parser that the ``main`` of a module uses."""
+
     def found(self: argparse.ArgumentParser, *_: Any, **__: Any) -> Any:
         raise _Found(self)
 
-    monkeypatch.setenv("COLUMNS", str(WIDTH))
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", found)
     monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", found)
     with pytest.raises(_Found) as caught:
         import_module(module).main(["--help"])
-    wide = [line for parser in parsers(caught.value.parser) for line in parser.format_help().splitlines()]
+    return caught.value.parser
+
+
+@pytest.mark.parametrize("module", PROGRAMS)
+def test_help_fits_into_80_columns(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    found = parsers(main_parser(module, monkeypatch))
+    wide = [line for parser in found for line in parser.format_help().splitlines()]
     assert [line for line in wide if len(line) > WIDTH] == []
 
 

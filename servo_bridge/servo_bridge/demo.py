@@ -12,7 +12,6 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -32,6 +31,7 @@ from servo_bridge.move_metrics import measure_move, rms
 from servo_bridge.path_metrics import measure_path
 from servo_bridge.trajectory.path import Path as Motion
 from servo_bridge.trajectory.shapes import lissajous
+from servo_msgs_py import argument
 
 TURN: Final = 2.0 * math.pi
 _HOLD: Final = 0.25  # time within the tolerance of the target before the next move [s]
@@ -367,7 +367,7 @@ class Demo:
 
 def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="servo-demo", description="Move both axes over ROS topics and measure.")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to this file")
+    parser.add_argument("--json", type=argument.output_file, metavar="FILE", help="write all figures to this file")
     parser.add_argument("--servo", default="servo", metavar="NAMESPACE", help="namespace of the board's node")
     parser.add_argument("--twin", default="twin", metavar="NAMESPACE", help="namespace of the twin")
     parser.add_argument("--require-twin", action="store_true", help="fail if no twin is running")

@@ -23,6 +23,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.recording_names import BURST, PLOT, TIMELINE
 from servo_msgs_py.trace import with_unit
 
@@ -164,11 +165,7 @@ def _check_file(path: Path) -> None:
     """Raise if the file cannot be written; rerun would only log it."""
     if path.suffix.lower() != ".rrd":
         raise UsageError(f"{path}: the name of a rerun recording must end with .rrd")
-    try:
-        with path.open("wb"):
-            pass
-    except OSError as error:
-        raise UsageError(f"{path} cannot be written: {error.strerror or error}") from None
+    write_file(path, b"")
 
 
 def _check_viewer(url: str) -> None:

@@ -60,7 +60,7 @@ def _password(text: str) -> str:
 def _project_file(text: str) -> Path:
     if Path(text).suffix != ".pmpx":
         raise argparse.ArgumentTypeError(f"{text} does not end in .pmpx")
-    return Path(text)
+    return argument.output_file(text)
 
 
 def _ask_password() -> str | None:
@@ -135,6 +135,7 @@ def _parser() -> argparse.ArgumentParser:
         "--output",
         required=True,
         action="append",
+        type=argument.output_file,
         metavar="FILE",
         help=".csv; for a burst also .png, .svg, .pdf, .npz or .rrd, and several files",
     )
@@ -154,7 +155,9 @@ def _parser() -> argparse.ArgumentParser:
     command = add("snapshot", tool_faults.snapshot, "print the record of the first fault of each axis")
     command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this axis (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
-    command.add_argument("--plot", metavar="FILE", help="draw the snapshot, as .png, .svg or .pdf")
+    command.add_argument(
+        "--plot", type=argument.picture, metavar="FILE", help="draw the snapshot, as .png, .svg or .pdf"
+    )
     command = commands.add_parser(
         _PROJECT,
         help="write a project for NXP's desktop tool: all variables with units, SI scales and limits; without a board",

@@ -60,9 +60,14 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--repeat", type=_repeats, default=4, metavar="N", help="sweeps per band (default: 4)")
     command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
     command.add_argument(
-        "--out", type=Path, metavar="DIR", help="write curves (.csv) and a plot (.png) to this directory"
+        "--out",
+        type=argument.output_folder,
+        metavar="DIR",
+        help="write curves (.csv) and a plot (.png) to this directory",
     )
-    command.add_argument("--rrd", type=Path, metavar="FILE", help="write a recording for the rerun viewer")
+    command.add_argument(
+        "--rrd", type=argument.output_file, metavar="FILE", help="write a recording for the rerun viewer"
+    )
     command.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -196,7 +196,7 @@ def record(context: Context) -> int:
     if len(context.args.output) > 1:
         raise UsageError("without burst options only one output file is possible")
     (output,) = context.args.output
-    with named(Path(output)), Path(output).open("w", newline="", encoding="utf-8") as file:
+    with named(output), output.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         heads = [head for (v, k), name in zip(selection, names, strict=True) for head in _heads(v, k, name)]
         writer.writerow(["time [s]", *(["tick"] if tick is not None else []), *heads])

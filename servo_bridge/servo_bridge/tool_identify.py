@@ -30,11 +30,12 @@ from servo_bridge.measurement_access import measurement_access
 from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.plan import computed, read_blocks
 from servo_bridge.wire.session_port import SessionPort
+from servo_msgs_py import argument
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-_OUT: Final = Path("out/identify")
+_OUT: Final = "out/identify"
 _RECORDING: Final = "measurement.npz"
 _MACHINE: Final = ("pins.", "stop.disable", "stop.quick_stop", "stop.shorted", "stop.ramp", "stop.hold", "heat.")
 """Members that depend on the machine and not on its motor."""
@@ -61,7 +62,9 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="servo.toml with all other entries (default: the one of the checkout)",
     )
-    command.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
+    command.add_argument(
+        "--out", type=argument.output_folder, default=_OUT, metavar="FOLDER", help="default: %(default)s"
+    )
 
 
 def identify(context: Context) -> int:

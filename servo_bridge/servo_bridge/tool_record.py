@@ -38,7 +38,7 @@ def record(context: Context) -> int:
         return record_rows(context)
     if args.duration is not None:
         raise UsageError("--duration is not for bursts; use --points, or --timeout to stop without a trigger")
-    writers = [(writer_for(path), path) for path in map(Path, args.output)]
+    writers = [(writer_for(path), path) for path in args.output]
     recording = BurstRecording(BurstRequest.of(args), context.catalogue)
     warn(context)
     burst = run(recording, context.session, args.timeout)
@@ -64,9 +64,9 @@ def run(recording: BurstRecording, session: Session, timeout: float | None = Non
     return burst
 
 
-def _summary(burst: Trace, files: list[str], recording: BurstRecording, *, triggered: bool) -> str:
+def _summary(burst: Trace, files: list[Path], recording: BurstRecording, *, triggered: bool) -> str:
     span = ""
     if burst.step and len(burst):
         span = f", {burst.time[0]:.6g} .. {burst.time[-1]:.6g} s"
     note = "; stopped before the trigger" if triggered and not recording.triggered else ""
-    return f"{len(burst)} points{span} in {', '.join(files)}{note}"
+    return f"{len(burst)} points{span} in {', '.join(map(str, files))}{note}"

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn
 
 import numpy as np
@@ -54,7 +53,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--count", type=argument.count, metavar="N", help="end after this number of bursts (default: at Ctrl-C)"
     )
-    command.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a recording instead of opening a viewer")
+    command.add_argument(
+        "--save", type=argument.output_file, metavar="FILE.rrd", help="write a recording instead of opening a viewer"
+    )
     command.add_argument(
         "--connect", metavar="URL", help="use a running viewer, such as rerun+http://127.0.0.1:9876/proxy"
     )

@@ -18,6 +18,7 @@ from servo_tuning.remedies import explained
 from servo_bridge.tool_values import UsageError
 from servo_bridge.tuning.plan import HEADING, Plan, computed, read_blocks
 from servo_bridge.wire.session_port import SessionPort
+from servo_msgs_py import argument
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -32,7 +33,11 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     mode.add_argument("--diff", action="store_true", help="compare only; exit status 1 if file and board differ")
     mode.add_argument("--from-board", action="store_true", help="write the members of the board, in SI units")
     command.add_argument(
-        "-o", "--output", metavar="FILE.toml", help="file to write with --from-board (default: print it)"
+        "-o",
+        "--output",
+        type=argument.output_file,
+        metavar="FILE.toml",
+        help="file to write with --from-board (default: print it)",
     )
 
 
@@ -60,7 +65,7 @@ def tune(context: Context) -> int:
 def _from_board(context: Context, memory: SessionPort) -> int:
     text = text_of(list(read_blocks(memory).values()), HEADING)
     if context.args.output:
-        write_file(Path(context.args.output), text)
+        write_file(context.args.output, text)
         print(f"wrote {context.args.output}")
     else:
         print(text, end="")

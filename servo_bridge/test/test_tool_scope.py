@@ -73,7 +73,6 @@ def test_foreign_board_is_shown_with_the_clock_of_the_host(tmp_path: Path, capsy
         (["axis1.i_q", "--level"], 2, "add --trigger"),
         (["axis1.i_q", "--rate", "5000"], 2, "5333.33 or 4000 Hz"),
         (["axis1.i_q", "--save", "x.csv"], 2, "must end with .rrd"),
-        (["axis1.i_q", "--save", "/nowhere/x.rrd"], 2, "cannot be written: No such file"),
         (["axis1.i_q", "--connect", "127.0.0.1:9"], 2, "is not an address of a rerun viewer"),
         (["axis1.i_q", "--connect", "rerun+http://127.0.0.1:9/proxy"], 2, "no rerun viewer at"),
     ],

@@ -1,12 +1,15 @@
-"""Numbers on a command line, as types for `argparse`, and the layout of its help."""
+"""Numbers and files on a command line, as types for `argparse`, and the layout of its help."""
 
 from __future__ import annotations
 
 import re
 import textwrap
 from argparse import ArgumentTypeError, HelpFormatter
+from pathlib import Path
 from typing import Final
 
+from servo_msgs_py.figure import PictureError, check_picture
+from servo_msgs_py.output_file import check_output
 from servo_msgs_py.quantity import ABOVE_0, Quantity
 
 _FINITE: Final = Quantity()
@@ -42,6 +45,31 @@ def whole(text: str, valid: Quantity = _WHOLE) -> int:
 def count(text: str) -> int:
     """A whole number of at least 1."""
     return whole(text, _COUNT)
+
+
+def output_file(text: str, *, folder: bool = False) -> Path:
+    """A file that can be written, as far as that is known before a program begins its work."""
+    path = Path(text)
+    try:
+        check_output(path, folder=folder)
+    except OSError as error:
+        raise ArgumentTypeError(f"{text!r} cannot be written: {error.strerror} ({error.filename})") from None
+    return path
+
+
+def output_folder(text: str) -> Path:
+    """A folder for files that can be written; it may be missing."""
+    return output_file(text, folder=True)
+
+
+def picture(text: str) -> Path:
+    """A file for a picture, in a format that can be drawn."""
+    path = output_file(text)
+    try:
+        check_picture(path)
+    except PictureError as error:
+        raise ArgumentTypeError(str(error)) from None
+    return path
 
 
 class ParagraphFormatter(HelpFormatter):

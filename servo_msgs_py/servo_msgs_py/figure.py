@@ -12,6 +12,19 @@ class PictureError(ValueError):
     """A picture cannot be drawn; the message has reason and remedy."""
 
 
+def check_picture(path: Path) -> None:
+    """Check that `write_figure` knows the format of a file.
+
+    Raises
+    ------
+    PictureError
+        If it does not, or matplotlib is not installed.
+    """
+    known = sorted(f".{suffix}" for suffix in new_figure(1.0, 1.0).canvas.get_supported_filetypes())
+    if path.suffix.lower() not in ("", *known):
+        raise PictureError(f"{path}: {path.suffix} is no format of a picture; formats: {', '.join(known)}")
+
+
 def new_figure(width: float, height: float, dpi: int = 100) -> Any:
     """Figure of matplotlib of this size [inch] with automatic layout.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Callable, Iterator
 from io import BytesIO
@@ -18,6 +19,31 @@ def named(path: Path) -> Iterator[None]:
     except OSError as error:
         error.filename = str(path)
         raise
+
+
+def check_output(path: Path, *, folder: bool = False) -> None:
+    """Check that `write_file` could write a file, or files in a folder, without a change; disks may fill up later.
+
+    Raises
+    ------
+    OSError
+        If it could not; with the name of the file or folder that is the obstacle.
+    """
+    target = Path(os.path.realpath(path))
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        target.lstat()  # such as a name that is too long
+    if target.is_dir() and not folder:
+        raise _refusal(errno.EISDIR, target)
+    direct = folder or (target.exists() and not target.is_file())  # not a file, which is replaced: a device, a pipe
+    place = next(part for part in ([target] if direct else []) + [*target.parents] if part.exists())
+    if not place.is_dir() and (folder or place != target):
+        raise _refusal(errno.ENOTDIR, place)
+    if not os.access(place, os.W_OK):
+        raise _refusal(errno.EACCES, place)
+
+
+def _refusal(number: int, path: Path) -> OSError:
+    return OSError(number, os.strerror(number), str(path))
 
 
 def write_file(path: Path, content: str | bytes | Callable[[IO[bytes]], object]) -> None:
@@ -43,7 +69,7 @@ def write_file(path: Path, content: str | bytes | Callable[[IO[bytes]], object])
     data = content.encode() if isinstance(content, str) else content
     with named(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        target = path.resolve()
+        target = Path(os.path.realpath(path))
         if path.absolute().is_relative_to("/dev") or (target.exists() and not target.is_file()):
             target.write_bytes(data)
             return

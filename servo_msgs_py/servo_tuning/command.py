@@ -14,6 +14,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
 from servo_msgs_py.figure import PictureError
 
+from servo_msgs_py import argument
 from servo_tuning.braking import brake_constants
 from servo_tuning.configuration import Configuration
 from servo_tuning.constants import time_outs
@@ -53,13 +54,15 @@ def parser() -> argparse.ArgumentParser:
     about = "write the C file of the firmware (the default command)"
     generate = verbs.add_parser("generate", parents=[common], help=about, description=about)
     target = SERVO_TOML.with_name("servo_config_gen.c")
-    generate.add_argument("--output", type=Path, default=target, metavar="FILE", help="C file (default: %(default)s)")
+    generate.add_argument(
+        "--output", type=argument.output_file, default=target, metavar="FILE", help="C file (default: %(default)s)"
+    )
     generate.add_argument("--check", action="store_true", help="compare only, write nothing")
     generate.set_defaults(run=_generate)
     about = "print gains, margins, poles, E43..E45, sensitivity to the inertia"
     report = verbs.add_parser("report", parents=[common], help=about, description=about)
     report.add_argument("--json", action="store_true", help="all figures as JSON on standard output")
-    report.add_argument("--plot", type=Path, metavar="FILE", help="draw the responses (needs matplotlib)")
+    report.add_argument("--plot", type=argument.picture, metavar="FILE", help="draw the responses (needs matplotlib)")
     report.set_defaults(run=_report)
     return result
 

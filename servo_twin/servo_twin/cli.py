@@ -49,7 +49,9 @@ def parser() -> argparse.ArgumentParser:
     mover.add_argument(
         "--time", type=argument.positive, help="length of the recording [s] (default: depends on the distance)"
     )
-    mover.add_argument("--plot", type=Path, metavar="FILE", help="file for a plot of position, speed and current")
+    mover.add_argument(
+        "--plot", type=argument.picture, metavar="FILE", help="file for a plot of position, speed and current"
+    )
     mover.set_defaults(run=_move)
 
     bench = verbs.add_parser("bench", parents=[common, levelled], help="real-time factor of one board with two axes")

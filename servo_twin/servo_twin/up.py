@@ -90,7 +90,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add_level_option(result, "virtual board and twin are", f"{DEFAULT_LEVEL}; {FAST_LEVEL} on a slow machine")
     result.add_argument("--no-web", action="store_true", help="do not start the viewer in the browser")
-    result.add_argument("--record", type=Path, help="record to this .rrd file")
+    result.add_argument("--record", type=argument.output_file, help="record to this .rrd file")
     result.add_argument(
         "--domain-id", type=_domain, help="ROS domain (default: $ROS_DOMAIN_ID; with --demo a separate domain)"
     )
@@ -104,7 +104,7 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument("--demo", action="store_true", help="move both axes, save a recording and a picture, and exit")
     result.add_argument(
-        "--out", type=Path, default=Path("out"), help="folder for logs and results (default: %(default)s)"
+        "--out", type=argument.output_folder, default="out", help="folder for logs and results (default: %(default)s)"
     )
     return result
 

@@ -76,7 +76,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         "--time", type=float, default=120.0, metavar="S", help="duration of each run (default: %(default)s)"
     )
     calibrator.add_argument(
-        "--out", type=Path, default=Path("thresholds.toml"), metavar="FILE", help="default: %(default)s"
+        "--out", type=argument.output_file, default="thresholds.toml", metavar="FILE", help="default: %(default)s"
     )
     Runner.add_options(calibrator)
     calibrator.set_defaults(run=_calibrate)

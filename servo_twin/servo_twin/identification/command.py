@@ -50,7 +50,7 @@ Output files: measurement.npz (not with --recording), estimates.json, identify.p
 plant.toml for the twin, and, if there are gains for this motor, servo.toml for the controller; otherwise exit status 1
 and the reason. With --trials: trials.json only."""
 
-_OUT: Final = Path("out/identify")
+_OUT: Final = "out/identify"
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
@@ -87,7 +87,9 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         help="level of the boards in the refinement (default: of the virtual board; for a recording registers)",
     )
     parser.add_argument("--no-refinement", action="store_true", help="closed-form estimates only")
-    parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
+    parser.add_argument(
+        "--out", type=argument.output_folder, default=_OUT, metavar="FOLDER", help="default: %(default)s"
+    )
     real = parser.add_argument_group("plant of the virtual board")
     real.add_argument("--motor", type=int, metavar="K", help="a random motor")
     real.add_argument("--load", type=float, default=0.0, help="constant torque [N m]")

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.figure import PictureError, new_figure, write_figure
 from servo_msgs_py.units import COUNTS_PER_TURN
 
+from servo_msgs_py import argument
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts
 
@@ -246,7 +247,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Draw one recording; returns the exit status."""
     parser = argparse.ArgumentParser(prog="servo_twin.view.picture", description="Draw a picture of a recording.")
     parser.add_argument("recording", type=Path, help="recording of servo_viewer (.rrd)")
-    parser.add_argument("picture", type=Path, help="picture to write (.png)")
+    parser.add_argument("picture", type=argument.picture, help="picture to write (.png)")
     args = parser.parse_args(argv)
     try:
         draw(args.recording, args.picture)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.output_file import write_file
 
 from servo_twin.view import scene
 from servo_twin.view.blueprint import blueprint
@@ -219,9 +220,7 @@ class Recording:
 def _check_writable(path: Path) -> None:
     """Check before rerun opens the file, which reports errors only in its own log."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb"):
-            pass
+        write_file(path, b"")
     except OSError as error:
         raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.output_file import write_file
 
+from servo_msgs_py import argument
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -22,7 +23,7 @@ from servo_twin.validation.experiments.plant_limits import differences
 from servo_twin.validation.experiments.report import draw, summary, table, update_summary
 from servo_twin.validation.experiments.rig import at_level
 
-_OUT: Final = Path("out/experiments")
+_OUT: Final = "out/experiments"
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
@@ -49,13 +50,15 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         )
         if entry.add_options is not None:
             entry.add_options(parser)
-        parser.add_argument("--plot", type=Path, metavar="FILE", help="file for the picture")
-        parser.add_argument("--out", type=Path, metavar="FOLDER", help="folder for table, picture and summary")
+        parser.add_argument("--plot", type=argument.picture, metavar="FILE", help="file for the picture")
+        parser.add_argument(
+            "--out", type=argument.output_folder, metavar="FOLDER", help="folder for table, picture and summary"
+        )
         parser.set_defaults(run=_run, names=[entry.name])
     everything = names.add_parser("all", parents=[common, levelled], help="run all experiments")
     everything.add_argument(
         "--out",
-        type=Path,
+        type=argument.output_folder,
         default=_OUT,
         metavar="FOLDER",
         help="folder for tables, pictures, summary (default: %(default)s)",
@@ -78,7 +81,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     both.add_argument(
         "--out",
-        type=Path,
+        type=argument.output_folder,
         default=_OUT,
         metavar="FOLDER",
         help="folder for levels.json and levels.md (default: %(default)s)",

@@ -48,13 +48,13 @@ Results are written to a folder: {RESULTS} during the run (one line per trial), 
 after Ctrl-C. The worst trials are printed with the command that repeats them. The same seed gives the same results,
 independent of the number of workers."""
 
-_OUT: Final = Path("out/sweep")
+_OUT: Final = "out/sweep"
 ROWS_MAX: Final = 16  # figures of a picture
 DRAWN_MAX: Final = 4000  # trials of a picture
 
 
 def measuring_parser(
-    verbs: Any, name: str, parents: Sequence[argparse.ArgumentParser], short: str, description: str, out: Path
+    verbs: Any, name: str, parents: Sequence[argparse.ArgumentParser], short: str, description: str, out: str
 ) -> argparse.ArgumentParser:
     """Add a command that runs one experiment on many boards, with the options of its base and its workers.
 
@@ -80,7 +80,9 @@ def measuring_parser(
     )
     parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
     parser.add_argument("--config", type=Path, metavar="FILE", help="present servo.toml (default: of the firmware)")
-    parser.add_argument("--out", type=Path, default=out, metavar="FOLDER", help="default: %(default)s")
+    parser.add_argument(
+        "--out", type=argument.output_folder, default=out, metavar="FOLDER", help="default: %(default)s"
+    )
     Runner.add_options(parser)
     return parser
 

@@ -38,7 +38,7 @@ servo.toml with this candidate (`servo-tool tune` sends it).
 
 {SYNTAX}"""
 
-_OUT: Final = Path("out/tune-robust")
+_OUT: Final = "out/tune-robust"
 PLANTS: Final = 12
 CANDIDATES: Final = 64
 

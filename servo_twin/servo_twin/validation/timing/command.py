@@ -7,12 +7,12 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.units import PERIOD_NS
 
+from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.plant import PlantConfig
@@ -165,7 +165,10 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         formatter_class=ParagraphFormatter,
     )
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="file for a picture of F34 with the deadlines, F35, F38 and the start"
+        "--plot",
+        type=argument.picture,
+        metavar="FILE",
+        help="file for a picture of F34 with the deadlines, F35, F38 and the start",
     )
     parser.add_argument(
         "--all", action="store_true", help="measure the handlers in all modes, features, feedbacks, stops and faults"
