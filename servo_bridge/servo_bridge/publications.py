@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
@@ -27,6 +28,9 @@ from servo_bridge.homing import Homing
 from servo_bridge.part import Part
 from servo_bridge.telemetry import Snapshot
 from servo_msgs_py import topics
+
+_ROWS_MAX: Final = 500
+"""Samples in one snapshot message, above 0.1 MB."""
 
 
 class Publications(Part):
@@ -93,20 +97,25 @@ class Publications(Part):
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
     def on_sample(self, snapshot: Snapshot) -> None:
-        """Publish a sample, limited by the rates; no joint_states while the positions have another reference."""
+        """Publish a sample, limited by the rates; no joint_states while the positions have another reference.
+
+        A backlog after a hang of the bridge goes into few large snapshot messages, without a loss, and not into
+        joint_states: thousands of messages at once overrun receivers, and a change of `armed` among them is lost.
+        """
         self._publish_positions_known()
         if snapshot.epoch != self._epoch:
             self.flush()
             self._epoch = snapshot.epoch
             self._next_joint = self._next_snapshot = 0
-        if not self._homing.restoring and snapshot.tick >= self._next_joint:
+        if not snapshot.backlog and not self._homing.restoring and snapshot.tick >= self._next_joint:
             # Step from the last due tick, not from this one, to keep the mean rate.
             self._next_joint = max(self._next_joint + self._joint_ticks, snapshot.tick)
             constants = self._torque_constants() or None
             message = joint_state_from_values(self._joints, snapshot.stamp_ns, snapshot.values, constants)
             self._joint_states.publish(message)
         self._rows.append([*snapshot.values.values(), *divmod(snapshot.stamp_ns, 1_000_000_000)])
-        if snapshot.tick >= self._next_snapshot:
+        due = snapshot.tick >= self._next_snapshot and not snapshot.backlog
+        if due or len(self._rows) >= _ROWS_MAX:
             self._next_snapshot = snapshot.tick + self._snapshot_ticks
             self.flush()
 

@@ -34,6 +34,9 @@ from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus
 from servo_msgs_py import topics
 
 _SIGN_OF_LIFE: Final = 0.1  # period of the timer that shows that the executor runs [s]
+_BACKLOG_NS: Final = 100_000_000
+"""A sample is part of a backlog if the newest one that waits is later by more [ns]."""
+
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
 
 
@@ -84,6 +87,7 @@ class Supervisor:
         self._health = Health(catalogue, full_name(node), settings.port, self._joints)
         self._status = LinkStatus(LinkState.DISCONNECTED, "starting")
         self._snapshot: Snapshot | None = None
+        self._arrived: Sample | None = None  # the newest one, which may still wait in the inbox
         self._ended = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         watch.begin()
@@ -104,7 +108,7 @@ class Supervisor:
             return factory(
                 config,
                 self._catalogue,
-                on_sample=lambda sample: self._inbox.post(partial(self._on_sample, sample)),
+                on_sample=self._arrives,
                 on_state=lambda status: self._inbox.post(partial(self._on_link, status)),
                 hang=self._watch.hang,
             )
@@ -164,11 +168,17 @@ class Supervisor:
             part.lost(status.reason)
         self._publish_state()
 
+    def _arrives(self, sample: Sample) -> None:
+        """Take a sample in the thread of the link."""
+        self._arrived = sample
+        self._inbox.post(partial(self._on_sample, sample))
+
     def _on_sample(self, sample: Sample) -> None:
         if self._status.state is not LinkState.CONNECTED:
             return  # sent before the loss of the link
-        parts = self.parts
-        snapshot = parts.homing.completed(parts.telemetry.snapshot(sample, parts.clocks.stamp(sample)))
+        parts, newest = self.parts, self._arrived or sample
+        backlog = newest.response_ns - sample.response_ns > _BACKLOG_NS
+        snapshot = parts.homing.completed(parts.telemetry.snapshot(sample, parts.clocks.stamp(sample), backlog=backlog))
         self._snapshot = snapshot
         for part in parts.order:
             part.on_sample(snapshot)

@@ -72,6 +72,7 @@ class Snapshot:
     applied_count: int  # uint16, as sent by the board
     axes: tuple[AxisStatus, ...]  # state of every axis
     faults: tuple[int, ...]  # fault word of every axis
+    backlog: bool = False  # the bridge was blocked, and much newer samples wait
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class Telemetry:
         self._ready_since: list[int | None] = [None] * AXES
         self._epoch = 0
 
-    def snapshot(self, sample: Sample, stamp_ns: int) -> Snapshot:
+    def snapshot(self, sample: Sample, stamp_ns: int, *, backlog: bool = False) -> Snapshot:
         """Convert a sample; `stamp_ns`: ROS time of its tick."""
         if sample.epoch != self._epoch:
             self._counts = [None] * AXES
@@ -150,6 +151,7 @@ class Telemetry:
             raw[self._applied_count],
             tuple(axes),
             tuple(raw[at.faults] for at in self._axes),
+            backlog,
         )
 
     def restart_position(self, axis: int) -> None:

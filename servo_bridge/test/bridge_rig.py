@@ -158,8 +158,8 @@ class FakeLink:
         for axis, (state, substate) in enumerate(states, 1):
             self.values[f"axis{axis}.state"], self.values[f"axis{axis}.substate"] = state, substate
 
-    def sample(self, periods: int = 16) -> None:
-        """Deliver a sample `periods` PWM periods later; all writes before it have taken effect."""
+    def sample(self, periods: int = 16, age: float = 0.0) -> None:
+        """Deliver a sample `periods` PWM periods later, received `age` ago [s]; writes before it have taken effect."""
         self.tick += periods
         if self._effects:
             self.values["applied_count"] = (self.values.get("applied_count", 0) + self._effects) & 0xFFFF
@@ -169,7 +169,7 @@ class FakeLink:
         for variable in self.layout.variables:
             value = self.tick & 0xFFFF_FFFF if variable.name == "tick" else self.values.get(variable.name, 0)
             numbers += [value] * variable.count
-        now = time.monotonic_ns()
+        now = time.monotonic_ns() - round(age * 1e9)
         self._on_sample(Sample(self.tick, self.epoch, now, now, b"", tuple(numbers), self.layout))
 
 

@@ -71,6 +71,19 @@ def test_joint_states_are_si_and_stamped_with_board_time(rig: Rig) -> None:
     assert abs(stamps[-1] - time.time_ns()) < 5e9
 
 
+def test_backlog_is_few_snapshots_without_a_loss(rig: Rig) -> None:
+    rig.link.connect()
+    first = rig.link.tick + 16
+    for k in range(2400):  # the executor is blocked for 2.4 s
+        rig.link.sample(age=1e-3 * (2400 - k))
+    rig.link.disconnect()  # publishes the rest
+    rig.until(lambda: rig.snapshots() and rig.snapshots()[-1]["tick"] == rig.link.tick)
+    assert [row["tick"] for row in rig.snapshots()] == [first + 16 * k for k in range(2400)]
+    assert len(rig.messages[topics.SNAPSHOT]) < 20
+    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= 90)
+    assert len(rig.messages[topics.JOINT_STATES]) <= 110  # of the last 0.1 s
+
+
 def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
     rig.connect()
     for _ in range(100):
