@@ -26,6 +26,7 @@ from rclpy.serialization import serialize_message
 from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.freemaster.line import Line
 from servo_bridge.parameters import PARAMETERS, settings_from
+from servo_bridge.runs.message_tap import MessageTap
 from servo_bridge.supervisor import Supervisor
 from servo_bridge.trajectory.follower import Follower
 from servo_bridge.wire.board_clock import WallClock
@@ -422,6 +423,7 @@ class BridgeSimulation:
             lambda function: function(),
             make_link,
             CallbackWatch(self._clock, self._clock),
+            MessageTap(),
         )
         self.supervisor.parts.arbiter.sources._clock = self._clock
         self.supervisor.activate()

@@ -39,9 +39,12 @@ from servo_bridge.joint_commands import JointCommands
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import error_of
 from servo_bridge.parameter_sync import ParameterSync
-from servo_bridge.parameters import Settings
+from servo_bridge.parameters import Settings, values_of
 from servo_bridge.part import Part
 from servo_bridge.publications import Publications
+from servo_bridge.runs.message_tap import MessageTap
+from servo_bridge.runs.run_info_topic import RunInfoTopic
+from servo_bridge.runs.run_service import RunService
 from servo_bridge.sample_clocks import SampleClocks
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_point_topics import SetPointTopics
@@ -83,6 +86,8 @@ class Assembly:
         Runs a function in the thread of the executor; from any thread.
     watch : CallbackWatch
         Of the callbacks of the node.
+    tap : MessageTap
+        Of the messages of the node.
     """
 
     def __init__(
@@ -93,6 +98,7 @@ class Assembly:
         link: BoardLink,
         post: Callable[[Callable[[], None]], None],
         watch: CallbackWatch,
+        tap: MessageTap,
     ) -> None:
         self.settings = settings
         self._node, self._catalogue, self._link = node, catalogue, link
@@ -169,6 +175,16 @@ class Assembly:
             context, node, settings.tuning, take=self.dispatcher.urgent, taken=self._nominal_values_changed
         )
         self.storage = StorageService(context, node)
+        self.run_info = RunInfoTopic(
+            node,
+            catalogue,
+            settings.port,
+            values_of(node),
+            lambda: link.board,
+            lambda: self.parameters.values,
+            lambda: self.tuning.blocks,
+        )
+        self.run = RunService(context, node, tap, settings.run, self.run_info.refresh)
         self._entities = [
             SetPointTopics(self.commands),
             TrajectoryTopic(self.commands, self.goals, answers, settings.goal_defaults, self._warn),
@@ -203,10 +219,13 @@ class Assembly:
             self.storage,
             self.tuning,
             self.publications,
+            self.run,
         )
         """Order in which the parts learn of connections, samples and their loss."""
         self.pace_keep_alive()
         self.publish_description()
+        if settings.run.path:
+            self.run.begin()
 
     def close(self) -> None:
         """End the threads of the parts."""
@@ -223,6 +242,8 @@ class Assembly:
         self.homing.joints, self.homing.positions = list(settings.joints), list(settings.home_positions)
         self.homing.restores = settings.restore_positions
         self.records.request = settings.recording
+        self.run.settings = settings.run
+        self.run_info.settings = values_of(self._node)
         self.tuning.path = settings.tuning
         self.arbiter.sources.preferred = settings.preferred_source
         self.publish_description()

@@ -16,6 +16,7 @@ from servo_msgs_py.value_text import value_text
 
 from servo_bridge.callback_watch import CallbackReport
 from servo_bridge.freemaster.client import BoardInfo
+from servo_bridge.runs.recorder import RunReport
 from servo_bridge.telemetry import Snapshot
 from servo_bridge.trajectory.streamer import StreamReport
 from servo_bridge.wire.link_state import LinkState, LinkStatus
@@ -76,6 +77,7 @@ class Health:
         self._last = LinkStatistics()
         self._last_rejected = 0
         self._last_missing = 0
+        self._last_lost = 0
         self._last_counts: dict[str, int] = {}
 
     def link(self, status: LinkStatus, figures: LinkStatistics, baud: int, low_latency: str) -> DiagnosticStatus:
@@ -264,6 +266,26 @@ class Health:
         values = {"newest set": storage.sequence or "none", "values since the reset": _words(storage.source)}
         values |= {f"copy {name}": _words(copy) for name, copy in zip("AB", storage.copies, strict=True)}
         return self._status("storage", _WARN if storage.trouble else _OK, storage.text, values)
+
+    def run_recording(self, report: RunReport | None) -> DiagnosticStatus:
+        """Status of the recording of the run."""
+        if report is None:
+            return self._status("run recording", _OK, "off", {})
+        fresh = report.lost - self._last_lost
+        self._last_lost = report.lost
+        level, message = _OK, f"to {report.path}" if report.running else "off"
+        if report.error:
+            level, message = _ERROR, f"ended: {report.error}"
+        elif fresh > 0:
+            level, message = _WARN, f"in the last second: {fresh} messages lost"
+        values = {
+            "file": report.path,
+            "size [MB]": f"{report.size / 1e6:.1f}",
+            "messages": report.written,
+            "lost": report.lost,
+            "left out, type not known": ", ".join(report.unknown) or "none",
+        }
+        return self._status("run recording", level, message, values)
 
     def executor(self, report: CallbackReport) -> DiagnosticStatus:
         """Status of the thread that runs all callbacks of the node."""

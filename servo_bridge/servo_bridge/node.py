@@ -19,6 +19,7 @@ from servo_bridge.board_link import LinkFactory
 from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.entities import Entities
 from servo_bridge.parameters import PARAMETERS, ParameterError, declare, settings_from, values_of, watch
+from servo_bridge.runs.message_tap import MessageTap
 from servo_bridge.supervisor import Supervisor
 from servo_bridge.unlocked_publisher import Sender
 from servo_bridge.wire.link import Link
@@ -59,6 +60,7 @@ class ServoBridge(LifecycleNode):
     ) -> None:
         self.watch = CallbackWatch()  # of the executor; used by the entities that the base class creates
         self._sender = Sender(lambda text: self.get_logger().error(text))
+        self.tap = MessageTap()  # of all messages, for recordings
         super().__init__("servo_bridge", namespace="servo", **node_arguments)
         self.failure = ""  # reason of a fatal error; the loss of the board is not fatal
         self.finished = False  # whether a transition has shut it down
@@ -80,9 +82,10 @@ class ServoBridge(LifecycleNode):
                 self.get_logger().info(f"unconfigured; to continue: ros2 lifecycle set /{full_name(self)} configure")
 
     # ---- entities, whose callbacks are measured
-    def create_publisher(self, *arguments: Any, **options: Any) -> Any:
+    def create_publisher(self, msg_type: Any, *arguments: Any, **options: Any) -> Any:
         """As `Node.create_publisher`."""
-        return self._sender.unlocked(super().create_publisher(*arguments, **options))
+        publisher = super().create_publisher(msg_type, *arguments, **options)
+        return self._sender.unlocked(publisher, self.tap.of(publisher, msg_type))
 
     def create_subscription(
         self,
@@ -100,6 +103,7 @@ class ServoBridge(LifecycleNode):
             if len(data) > bytes_max:
                 self._reject(topic, f"the message has {len(data)} bytes, more than {bytes_max}; send a smaller one")
                 return
+            seen(data)
             if raw:
                 callback(data)
                 return
@@ -111,7 +115,9 @@ class ServoBridge(LifecycleNode):
                 callback(message)
 
         timed = self.watch.timed(f"topic {topic}", take)
-        return super().create_subscription(msg_type, topic, timed, *arguments, raw=True, **options)
+        subscription = super().create_subscription(msg_type, topic, timed, *arguments, raw=True, **options)
+        seen = self.tap.of(subscription, msg_type)
+        return subscription
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *arguments: Any, **options: Any
@@ -188,7 +194,7 @@ class ServoBridge(LifecycleNode):
         self._entities = Entities(self)
         try:
             self.supervisor = Supervisor(
-                self, self._catalogue, settings, self._call_soon, self._link_factory, self.watch
+                self, self._catalogue, settings, self._call_soon, self._link_factory, self.watch, self.tap
             )
         except ParameterError:
             self._entities.destroy()

@@ -19,11 +19,13 @@ from servo_msgs_py.board_parameters import Assignment, merged
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.robot_description import NO_LIMIT
+from servo_msgs_py.run_file.series import Limits
 from servo_msgs_py.runtime.node_shell import full_name
 from servo_msgs_py.runtime.parameters import ParameterError, Spec, spec
 from servo_msgs_py.runtime.parameters import declare as declare_all
 
 from servo_bridge.bursts.request import BurstRequest
+from servo_bridge.runs.run_service import RunSettings
 from servo_bridge.telemetry import telemetry_variables
 from servo_bridge.tool_values import UsageError
 from servo_bridge.trajectory.goal import GoalDefaults
@@ -159,6 +161,33 @@ _SETTINGS: Mapping[str, Spec] = {
         "\"axis1.i_a axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --rate 16000\"",
         read_only=False,
     ),
+    "run_file": spec(
+        "",
+        "path of a .mcap file on the computer of the bridge for a recording of the run (doc/recording.md), with the "
+        "codes of strftime such as %Y%m%d-%H%M%S; if it is set at the start the recording begins then, else with the "
+        "service record_run; empty: none",
+        read_only=False,
+    ),
+    "run_file_size": spec(
+        1000.0,
+        "largest size of all files of a recording of the run, beyond which the oldest messages are removed [MB]",
+        1.0,
+        1e6,
+        read_only=False,
+    ),
+    "run_file_duration": spec(
+        0.0,
+        "largest duration of a recording of the run, beyond which the oldest messages are removed [s]; 0.0: any",
+        0.0,
+        1e7,
+        read_only=False,
+    ),
+    "run_topics": spec(
+        ["../twin/", "/rosout"],
+        "topics of other nodes in a recording of the run; with / at the end: all that begin so; ../ begins beside the "
+        "namespace of the bridge; [''] for none",
+        read_only=False,
+    ),
     "tuning": spec(
         "",
         "path of a TOML file in the form of servo.toml, on the computer of the bridge: the configuration of the axes "
@@ -214,6 +243,7 @@ class Settings:
     goal_defaults: GoalDefaults
     board_parameters: tuple[Assignment, ...]
     recording: BurstRequest
+    run: RunSettings
     tuning: str
     preferred_source: str
     home_positions: tuple[float, ...]  # by axis, joint units [rad]
@@ -267,6 +297,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         goal_defaults=_goal_defaults(values, names),
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
         recording=_recording(values["recording"]),
+        run=_run(values),
         tuning=values["tuning"],
         preferred_source=_preferred_source(values["preferred_source"], names),
         home_positions=_home_positions(values),
@@ -328,6 +359,14 @@ def _recording(text: str) -> BurstRequest:
         return BurstRequest.parse(text)
     except UsageError as error:
         raise ParameterError(f"parameter recording: {error}") from None
+
+
+def _run(values: Mapping[str, Any]) -> RunSettings:
+    path = values["run_file"]
+    if path and not path.endswith(".mcap"):
+        raise ParameterError(f"parameter run_file is {path!r}; write a path that ends with .mcap, or an empty text")
+    limits = Limits(values["run_file_size"] * 1e6, values["run_file_duration"] or math.inf)
+    return RunSettings(path, limits, tuple(filter(None, values["run_topics"])))
 
 
 def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assignment, ...]:

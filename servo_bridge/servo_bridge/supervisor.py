@@ -28,6 +28,7 @@ from servo_bridge.health import Health
 from servo_bridge.inbox import Inbox
 from servo_bridge.outcome import Outcome
 from servo_bridge.parameters import ParameterError, Settings
+from servo_bridge.runs.message_tap import MessageTap
 from servo_bridge.set_points import Rejected
 from servo_bridge.telemetry import Snapshot
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample
@@ -57,6 +58,8 @@ class Supervisor:
         Creates the link to the board.
     watch : CallbackWatch
         Of the callbacks of the node.
+    tap : MessageTap
+        Of the messages of the node.
 
     Raises
     ------
@@ -72,6 +75,7 @@ class Supervisor:
         call_soon: Callable[[Callable[[], None]], object],
         link_factory: LinkFactory,
         watch: CallbackWatch,
+        tap: MessageTap,
     ) -> None:
         self._node = node
         self._watch = watch
@@ -80,7 +84,7 @@ class Supervisor:
         self._joints = settings.names
         self._inbox = Inbox(call_soon, watch.call)
         self._link = self._make_link(settings, link_factory)
-        self.parts = Assembly(node, catalogue, settings, self._link, self._inbox.post, watch)
+        self.parts = Assembly(node, catalogue, settings, self._link, self._inbox.post, watch, tap)
         self._inactive = f"the bridge is inactive; activate it first (ros2 lifecycle set /{full_name(node)} activate)"
         self.parts.arbiter.inactive = self._inactive
         self._diagnostics = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
@@ -202,6 +206,8 @@ class Supervisor:
             pause, longest = callbacks.pause_last, callbacks.last
             self._log.warning(f"the executor gave no sign of life for {pause:.1f} s; longest: {longest}")
         parts.clocks.refresh()
+        parts.run_info.refresh()
+        parts.run.look()
         parts.commands.report_repetitions()
         statuses = [
             health.link(self._status, self._link.statistics(), parts.settings.baud, self._link.low_latency.text),
@@ -219,6 +225,7 @@ class Supervisor:
             health.stream(parts.streamer.report),
             health.parameters(parts.parameters.values, parts.parameters.trouble),
             health.storage(parts.storage.storage),
+            health.run_recording(parts.run.report),
             health.executor(callbacks),
         ]
         self._diagnostics.publish(diagnostic_array(self._node.get_clock().now().nanoseconds, statuses))

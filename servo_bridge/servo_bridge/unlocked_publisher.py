@@ -62,15 +62,24 @@ class Sender:
         self._thread = threading.Thread(target=self._run, name="publications", daemon=True)
         self._thread.start()
 
-    def unlocked(self, publisher: Any) -> Any:
-        """Make a publisher publish in the thread, without the lock of the interpreter; returns the publisher."""
+    def unlocked(self, publisher: Any, seen: Callable[[bytes], None]) -> Any:
+        """Make a publisher publish in the thread, without the lock of the interpreter; returns the publisher.
+
+        Parameters
+        ----------
+        publisher : Publisher
+            Of rclpy.
+        seen : callable
+            Receives every serialised message at once.
+        """
         function = _publish_function()
-        if function is None:
-            return publisher
-        handle = publisher.handle
+        handle, locked = publisher.handle, publisher.publish
 
         def send(data: bytes) -> None:
             try:
+                if function is None:
+                    locked(data)
+                    return
                 with handle:  # not destroyed meanwhile
                     code = function(handle.pointer, ctypes.byref(_Bytes(data, len(data), len(data))), None)
             except InvalidHandle:
@@ -80,6 +89,7 @@ class Sender:
 
         def publish(message: Any) -> None:
             data = message if isinstance(message, bytes) else serialize_message(message)
+            seen(data)
             if self._waiting.qsize() < _WAITING_MAX:
                 self._waiting.put(partial(send, data))
 

@@ -512,7 +512,7 @@ def test_requested_parameters_that_the_board_refuses_are_an_error() -> None:
     with Rig(board_parameters=["param.position_min[0]=2"]) as rig:
         rig.link.parameters["param.position_max"] = [0, 0]
         rig.connect()
-        rig.until(lambda: any("no motion would be possible" in text for text in rig.logs()))
+        rig.until(lambda: rig.parameters() and any("no motion would be possible" in text for text in rig.logs()))
         assert rig.parameters() == rig.link.parameters
         status = rig.diagnosis("parameters")
         assert (status.level, "no motion would be possible" in status.message) == (b"\x01", True)

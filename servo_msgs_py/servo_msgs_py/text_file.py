@@ -107,7 +107,7 @@ def toml_key(key: str) -> str:
 
 
 def toml_value(value: object) -> str:
-    """TOML of a number, boolean, string, or list of these."""
+    """TOML of a number, boolean, string, or list or tuple of these."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -19,8 +19,8 @@ from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 from servo_msgs_py.run_file.reader import Record, RunFileError, RunReader
 from servo_msgs_py.run_file.run_info import RunInfo, RunInfoError, VirtualBoard, run_info, string_of
-from servo_msgs_py.run_file.series import segment
-from servo_msgs_py.run_file.series_writer import SEGMENTS, Limits, SeriesWriter
+from servo_msgs_py.run_file.series import Limits, segment
+from servo_msgs_py.run_file.series_writer import SEGMENTS, SeriesWriter
 from servo_msgs_py.run_file.topic import Topic
 from servo_msgs_py.run_file.writer import RunWriter, UnknownTypeError
 
@@ -99,6 +99,16 @@ def test_other_readers_read_it_as_it_is(tmp_path: Path) -> None:
     assert durabilities == {STATE.name: QosDurability.TRANSIENT_LOCAL, RATE.name: QosDurability.VOLATILE}
     assert texts == [string_of(each.data) for each in expected if each.topic == STATE.name]
     assert "string data" in definition
+
+
+def test_padding_of_messages_is_left_out(tmp_path: Path) -> None:
+    """A message of zeros stays as it is; readers refuse one that is longer than its members."""
+    path, data = tmp_path / "run.mcap", bytes(STORE.serialize_cdr(STORE.types[RATE.type](0.0), RATE.type))
+    with RunWriter(path) as writer:
+        for padding in (0, 4, 8, 12):
+            writer.write(RATE, data + bytes(padding), START_NS)
+        writer.write(RATE, b"damaged" + bytes(4), START_NS)
+    assert [each.data for each in RunReader(path).records()] == [data] * 4 + [b"damaged" + bytes(4)]
 
 
 def test_a_file_cut_off_anywhere_is_read_up_to_its_last_flush(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ long calls release the GIL.
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -60,11 +61,17 @@ class Firmware(NamedTuple):
 
     ffi: Any
     lib: Any
+    file: str  # path of the compiled module
+
+    @property
+    def build(self) -> str:
+        """SHA-256 of the compiled module, hexadecimal: boards of one build give the same bits."""
+        return hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
 
 
 _FIRMWARE: Final[Mapping[Level, Firmware]] = {
-    "registers": Firmware(_registers_module.ffi, _registers_module.lib),
-    "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib),
+    "registers": Firmware(_registers_module.ffi, _registers_module.lib, _registers_module.__file__),
+    "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib, _ideal_module.__file__),
 }
 
 FLASH_BYTES: Final = int(_ideal_module.lib.board_flash_size())
@@ -95,7 +102,7 @@ def firmware_of(path: Path) -> Firmware:
         spec.loader.exec_module(module)
     except ImportError as error:
         raise BoardError(f"{found[0]} is no compiled virtual board for this Python ({error})") from None
-    return Firmware(module.ffi, module.lib)
+    return Firmware(module.ffi, module.lib, str(found[0]))
 
 
 _IDLE: Final = (1 << 64) - 1
@@ -218,7 +225,8 @@ class Board:
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
         self.level = chosen_level(level)
-        self._ffi, self._lib = firmware or _FIRMWARE[self.level]
+        self.firmware = firmware or _FIRMWARE[self.level]
+        self._ffi, self._lib = self.firmware.ffi, self.firmware.lib
         self.plant = plant or PlantConfig.load()
         self._seed = seed
         self.catalogue = catalogue or Catalogue.load()

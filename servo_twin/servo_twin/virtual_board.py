@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import errno
+import hashlib
 import os
 import select
 import sys
@@ -19,6 +20,8 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.run_file.run_info import VirtualBoard
+from servo_msgs_py.run_file.virtual_board_file import virtual_board_file, write_virtual_board
 from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.program import complain, deferred, program
@@ -177,11 +180,12 @@ class Terminal:
             raise
 
     def close(self) -> None:
-        """Remove the link, unless it has been replaced, and close both ends."""
+        """Remove the link with the file beside it, unless it has been replaced, and close both ends."""
         if self._link is not None:
             try:
                 if os.readlink(self._link) == self.device:
                     self._link.unlink()
+                    virtual_board_file(self._link).unlink(missing_ok=True)
             except OSError:
                 pass  # removed or replaced in the meantime
             self._link = None
@@ -351,7 +355,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 stopped by SIGINT, SIGTERM or SIGHUP, 1 operating system error, 2 wrong options, "
         "link or plant file. Example: virtual_board --link /tmp/servo --baud 1000000",
     )
-    parser.add_argument("--link", type=Path, help="symbolic link to the port, as a fixed name")
+    parser.add_argument(
+        "--link", type=Path, help="symbolic link to the port, as a fixed name; LINK.json then says what the board is"
+    )
     parser.add_argument(
         "--baud", type=float, default=115200.0, help="speed of the line in bit/s (default: %(default)g)"
     )
@@ -394,6 +400,8 @@ def main(argv: list[str] | None = None) -> int:
         where = f"{options.link} -> {line.device}" if options.link else line.device
         what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
         print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
+        if options.link:
+            write_virtual_board(options.link, _facts(board, options, line.device))
         pacer = Pacer(time.monotonic_ns(), speed=options.speed)
         serve(board, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=update_flash)
         print(
@@ -401,6 +409,20 @@ def main(argv: list[str] | None = None) -> int:
             f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
         )
     return 0
+
+
+def _facts(board: Board, options: argparse.Namespace, device: str) -> VirtualBoard:
+    """What a recording of the board needs to repeat it."""
+    return VirtualBoard(
+        device=device,
+        level=board.level,
+        seed=options.seed,
+        speed=options.speed,
+        baud=options.baud,
+        plant=board.plant.text(),
+        flash=hashlib.sha256(board.flash_image()).hexdigest() if options.flash else "",
+        build=board.firmware.build,
+    )
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cffi
 from servo_twin._build_native import declarations
@@ -108,8 +108,7 @@ class Recorder:
         command = ["gcc", *STRICT, SAMPLES, "-O2", "-ffp-contract=off", "-fPIC", *include]
         objects = compile_objects(command, sources.recorder(), folder, sources.root)
         run(["gcc", "-shared", "-Wl,-z,defs", *wrap, *objects, "-lm", "-o", library])
-        self._ffi: Any = ffi
-        self._lib: Any = ffi.dlopen(str(library))
+        self._firmware = Firmware(ffi, ffi.dlopen(str(library)), str(library))
 
     def record(self, scenario: Scenario, seed: int = 1, check_periods: int = CHECK_PERIODS) -> Recording:
         """Play a scenario.
@@ -121,9 +120,9 @@ class Recorder:
         targets.rig.RigError
             If the board does not reach a state that the scenario requires.
         """
-        ffi, lib = self._ffi, self._lib
+        ffi, lib, _ = self._firmware
         lib.record_begin(check_periods)
-        with closing(Rig(Firmware(ffi, lib), scenario.plant, seed)) as rig:
+        with closing(Rig(self._firmware, scenario.plant, seed)) as rig:
             scenario.play(rig)
             if not lib.record_end():
                 raise TargetError(f"{scenario.name}: {ffi.string(lib.record_problem()).decode()}")
@@ -141,14 +140,15 @@ class Recorder:
 
     def arithmetic(self, seed: int = 1, rounds: int = ARITHMETIC_ROUNDS) -> Arithmetic:
         """Compute the arithmetic on the host."""
-        groups = range(self._lib.arithmetic_groups())
-        checks = tuple(int(self._lib.arithmetic_digest(group, seed, rounds)) for group in groups)
+        ffi, lib, _ = self._firmware
+        groups = range(lib.arithmetic_groups())
+        checks = tuple(int(lib.arithmetic_digest(group, seed, rounds)) for group in groups)
         return Arithmetic(
             name="arithmetic",
             image=_ARITHMETIC.pack(ARITHMETIC_NAME, seed, rounds),
             digest=zlib.crc32(struct.pack(f"<{len(checks)}I", *checks)) ^ _CRC_FLIP,
             checks=checks,
-            groups=tuple(self._ffi.string(self._lib.arithmetic_name(group)).decode() for group in groups),
+            groups=tuple(ffi.string(lib.arithmetic_name(group)).decode() for group in groups),
         )
 
 

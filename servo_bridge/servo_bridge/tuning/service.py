@@ -96,6 +96,11 @@ class TuningService(Part):
         self._thread.start()
 
     # ---- thread of the node
+    @property
+    def blocks(self) -> list[Block]:
+        """Configuration of the board, by axis; empty: not known."""
+        return self._published or []
+
     def connected(self) -> None:
         """After a connection, read and publish the configuration; a restarted twin needs it."""
         self._published = None

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from array import array
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
+
+_PADDING_MAX: Final = 32
+"""Largest surplus of an estimated size [bytes]: 4 for every empty sequence of a message."""
 
 
 class Definition(NamedTuple):
@@ -47,6 +50,21 @@ def decoded(data: bytes, type_name: str) -> Any:
         return _store().deserialize_cdr(data, type_name)
     except Exception as error:  # the generated code has no errors of its own
         raise ValueError(f"the message is no {type_name} ({error!r})") from None
+
+
+def without_padding(data: bytes, type_name: str) -> bytes:
+    """Serialised message without what is behind its last member, which strict readers refuse.
+
+    rclpy reserves an estimated size, which is too large for messages with empty sequences.
+    """
+    for padding in range(0, _PADDING_MAX + 1, 4):
+        part = data[: len(data) - padding]
+        try:
+            decoded(part, type_name)
+        except ValueError:
+            continue
+        return part
+    return data
 
 
 def encoded(message: Any) -> bytes:

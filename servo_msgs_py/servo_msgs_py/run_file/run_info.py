@@ -10,6 +10,7 @@ import json
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import version
 from typing import Any, Final
 
 from servo_msgs_py.text_file import TextFileError, parse_json
@@ -26,14 +27,15 @@ class RunInfoError(ValueError):
 class VirtualBoard:
     """What a virtual board is, as its program reports it."""
 
-    level: str  # of the model: registers or ideal
-    seed: int  # of the sensor noise
+    device: str = ""  # of its serial port
+    level: str = ""  # of the model: registers or ideal
+    seed: int = 0  # of the sensor noise
     speed: float = 1.0  # simulated seconds per second
     baud: float = 0.0  # speed of its serial line [bit/s]
     plant: str = ""  # all values of the plant, TOML as in plant.toml
     flash: str = ""  # SHA-256 of the data flash at power-on; empty: erased
     build: str = ""  # SHA-256 of the compiled board: firmware and model
-    faults: tuple[str, ...] = ()  # injected faults
+    faults: Sequence[str] = ()  # injected faults
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +56,11 @@ class RunInfo:
         return json.dumps({"format": FORMAT, **asdict(self)}, separators=(",", ":"))
 
 
+def software_version() -> str:
+    """Version of this project."""
+    return version("servo_msgs_py")
+
+
 def run_info(text: str) -> RunInfo:
     """Read a document.
 
@@ -64,15 +71,12 @@ def run_info(text: str) -> RunInfo:
     """
     try:
         table = parse_json(text)
-        version = table["format"]
-        if version > FORMAT:
-            raise RunInfoError(f"the run info has format {version}, newer than {FORMAT}; use a newer version")
-        virtual = table.get("virtual_board")
-        if virtual is not None:
-            table["virtual_board"] = VirtualBoard(
-                **{**_known(VirtualBoard, virtual), "faults": tuple(virtual.get("faults", ()))}
-            )
-        return RunInfo(**_known(RunInfo, table))
+        found = table["format"]
+        if found > FORMAT:
+            raise RunInfoError(f"the run info has format {found}, newer than {FORMAT}; use a newer version")
+        if table.get("virtual_board") is not None:
+            table["virtual_board"] = VirtualBoard(**known(VirtualBoard, table["virtual_board"]))
+        return RunInfo(**known(RunInfo, table))
     except (TextFileError, TypeError, KeyError, AttributeError) as error:
         raise RunInfoError(f"the run info is damaged: {error!r}; record again") from None
 
@@ -93,6 +97,7 @@ def string_of(data: bytes) -> str:
         raise RunInfoError("the message is no string; record again") from None
 
 
-def _known(kind: type[Any], table: Mapping[str, Any]) -> dict[str, Any]:
+def known(kind: type[Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of a table that are members of a data class."""
     names = {each.name for each in fields(kind)}
     return {name: value for name, value in table.items() if name in names}

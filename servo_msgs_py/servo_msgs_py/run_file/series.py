@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of a recording, beyond which its oldest segments are removed."""
+
+    size: float = float("inf")  # of all files [bytes]
+    duration: float = float("inf")  # of all files [s]
 
 
 def segments(path: Path) -> list[Path]:

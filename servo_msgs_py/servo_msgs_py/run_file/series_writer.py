@@ -7,11 +7,10 @@ import os
 import shutil
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from servo_msgs_py.run_file.series import segment, segments
+from servo_msgs_py.run_file.series import Limits, segment, segments
 from servo_msgs_py.run_file.topic import Topic
 from servo_msgs_py.run_file.writer import RunWriter
 
@@ -20,14 +19,6 @@ SEGMENTS: Final = 8
 
 RESERVE: Final = 100_000_000
 """Free space of the disk at which a recording ends, for others and to complete its file [bytes]."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Bounds of a recording, beyond which its oldest segments are removed."""
-
-    size: float = float("inf")  # of all files [bytes]
-    duration: float = float("inf")  # of all files [s]
 
 
 class SeriesWriter:

@@ -12,7 +12,7 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import Writer
 
 from servo_msgs_py.output_file import named
-from servo_msgs_py.run_file.definitions import definition
+from servo_msgs_py.run_file.definitions import definition, without_padding
 from servo_msgs_py.run_file.topic import Topic
 
 _CHUNK_BYTES: Final = 1 << 20
@@ -88,9 +88,8 @@ class RunWriter:
         with self._writing():
             channel = self._channels.get(topic) or self._channel(topic)
             self._sequences[channel] = sequence = self._sequences[channel] + 1
-            self._writer.add_message(
-                channel, time_ns, data, time_ns if published_ns is None else published_ns, sequence
-            )
+            published = time_ns if published_ns is None else published_ns
+            self._writer.add_message(channel, time_ns, without_padding(data, topic.type), published, sequence)
 
     def flush(self) -> None:
         """Complete the chunk in progress and hand everything to the system."""
