@@ -119,7 +119,7 @@ def test_what_if_the_speed_loop_were_slower(equal: Path, tmp_path: Path, capsys:
     config.write_text(text.replace("speed_bandwidth   = 75.0", "speed_bandwidth   = 60.0"))
     result = replay(equal, capsys, "--config", str(config), status=1)
     assert result["first"]["time"] > 0.1  # not before the axes are enabled
-    assert result["controllers"] == ["axis1"]
+    assert result["controller"] == "axis1"
     replay(equal, capsys, "--config", str(SERVO_TOML), status=0)
 
 

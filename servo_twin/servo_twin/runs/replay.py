@@ -141,6 +141,14 @@ class Replayed:
     notes: list[str] = field(default_factory=list)  # what could not be replayed, and why
 
     @property
+    def controller(self) -> str:
+        """Axis that differs first, if the runs differ bit for bit and it is not the plant; empty: not known."""
+        if self.findings or not self.first_exact or not self.departures:
+            return ""
+        axis, dot, _ = self.departures[0].variable.partition(".")
+        return axis if dot else ""
+
+    @property
     def compared(self) -> int:
         """Samples that were compared."""
         return sum(stretch.samples for stretch in self.stretches)

@@ -39,23 +39,15 @@ def _what(first: Departure) -> str:
     return f"magnitude of {first.variable} is {_size(abs(first.first), first)} too {'large' if more else 'small'}"
 
 
-def _controllers(replayed: Replayed) -> list[str]:
-    """Axes whose variables differ in the first sample that is not equal bit for bit, if it is not the plant."""
-    if replayed.findings or not replayed.first_exact:
-        return []
-    first = (one.variable for one in replayed.departures if one.tick == replayed.first)
-    return sorted({axis for axis, dot, _ in (name.partition(".") for name in first) if dot})
-
-
 def _size(value: float, of: Departure) -> str:
     return f"{value:.3g} {of.unit}".rstrip()
 
 
 def _cause(replayed: Replayed) -> str:
     if not replayed.findings:
-        controllers = _controllers(replayed)
-        suspect = f": the controller of {' and '.join(controllers)} differs (configuration, parameter or firmware)"
-        return f"no change of the plant explains it{suspect if controllers else ''}"
+        axis = replayed.controller
+        suspect = f": the controller of {axis} differs (configuration, parameter or firmware)" if axis else ""
+        return f"no change of the plant explains it{suspect}"
     return "; ".join(
         f"{'bus' if one.axis is None else axis_name(one.axis)} {change_text(one.finding)}" for one in replayed.findings
     )
@@ -137,7 +129,7 @@ def document(replayed: Replayed) -> dict[str, Any]:
             }
             for one in replayed.findings
         ],
-        "controllers": _controllers(replayed),
+        "controller": replayed.controller or None,
         "notes": replayed.notes,
     }
 
