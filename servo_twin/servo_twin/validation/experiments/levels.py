@@ -15,7 +15,7 @@ from servo_msgs_py.table_text import aligned
 from servo_twin.level import Level
 from servo_twin.validation.experiments.outcome import Bound, Outcome, Row
 
-NOT_COMPARED: Final = frozenset({"motor-campaign"})
+NOT_COMPARED: Final = frozenset({"motor-campaign", "hidden-change"})
 """Experiments that have been measured at one level only."""
 
 HELP: Final = """\
