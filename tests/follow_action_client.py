@@ -137,6 +137,13 @@ def cancelled(client: Client) -> dict[str, Any]:
     return result | {"distances": [b - a for a, b in zip(before, client.positions(), strict=True)]}
 
 
+def longest(client: Client) -> dict[str, Any]:
+    """As many waypoints as a trajectory may have: the axes stay enabled while the goal is read."""
+    running = client.send_goal(*((0.5 + 1e-3 * k, 1e-3 * k) for k in range(100_000))).wait_until_moving()
+    running.handle.cancel_goal_async()
+    return running.result()
+
+
 def preempted(client: Client) -> dict[str, Any]:
     """A second goal for one joint: the other joint of the first goal stops."""
     before = client.positions()
@@ -210,8 +217,8 @@ def disabled(client: Client) -> dict[str, Any]:
 
 
 CASES: Sequence[Callable[[Client], dict[str, Any]]] = (
-    succeeds, one_joint, cancelled, preempted, path_tolerance, goal_tolerance, unknown_joint, old_stamp, future_stamp,
-    withdrawn, too_fast, empty, set_point, disabled,
+    succeeds, longest, one_joint, cancelled, preempted, path_tolerance, goal_tolerance, unknown_joint, old_stamp,
+    future_stamp, withdrawn, too_fast, empty, set_point, disabled,
 )  # fmt: skip
 
 

@@ -42,6 +42,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
         ("succeeds", "SUCCEEDED", 0, "Goal successfully reached!"),
         ("one_joint", "SUCCEEDED", 0, "Goal successfully reached!"),
         ("cancelled", "CANCELED", 0, "cancelled"),
+        ("longest", "CANCELED", 0, "cancelled"),
         ("preempted", "ABORTED", -1, "Current goal preempted by new incoming action."),
         ("path_tolerance", "ABORTED", -4, "position of axis1 deviates by "),
         ("goal_tolerance", "ABORTED", -5, "Aborted due to goal_time_tolerance exceeding by "),

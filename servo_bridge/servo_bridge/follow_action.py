@@ -18,10 +18,11 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.command_context import CommandContext
 from servo_bridge.goals import Goals
+from servo_bridge.raw_goal import with_raw_trajectories
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.goal import PREEMPTED, Goal, GoalDefaults
-from servo_bridge.trajectory.message import converted
+from servo_bridge.trajectory.message import converted, read
 from servo_bridge.trajectory.path import State
 from servo_bridge.trajectory.tolerances import Phase, goal_time_from, tolerances_from
 from servo_msgs_py import topics
@@ -152,10 +153,11 @@ class FollowAction:
         self._goals = goals
         self._defaults = defaults
         self._running: list[Any] = []  # handles of goals without a result
+        self._trajectories: dict[bytes, bytes] = {}  # of goals that have arrived, serialised, by the id of the goal
         self._server = _Server(
             watch,
             self._node,
-            self._type,
+            with_raw_trajectories(self._type, self._trajectories),
             _SOURCE,
             lambda _handle: None,  # every goal is ended by `finish`
             handle_accepted_callback=watch.timed(f"action {_SOURCE}: goal", self._accept),
@@ -183,11 +185,13 @@ class FollowAction:
     def _accept(self, handle: Any) -> None:
         handle.execute()
         request = handle.request
+        data = self._trajectories.pop(bytes(handle.goal_id.uuid), None)
         joints = self._goals.joints_of(request.trajectory.joint_names)
         goal = Goal(joints, {}, {}, 0.0)
         try:
             owner = _Sender(self._type, handle, self._end, joints, self._gears)
-            self._goals.begin(_SOURCE, converted(request.trajectory), self._goal(request, joints), owner, PREEMPTED)
+            trajectory = converted(request.trajectory) if data is None else read(data)
+            self._goals.begin(_SOURCE, trajectory, self._goal(request, joints), owner, PREEMPTED)
         except Rejected as error:
             goal.refused(error)
         except Exception as error:  # an exception would end the executor
