@@ -98,7 +98,8 @@ def _move(args: argparse.Namespace) -> int:
     axes = range(AXES) if args.axis is None else [args.axis - 1]
     seconds = args.time if args.time is not None else 1.0 + 2.5 * abs(args.turns) / 45.0
     with _board(args) as board:
-        search_time = float(board.si(enable(board)).time[-1])
+        enable(board)
+        search_time = board.clock()
         results, log = move(board, {axis: turns(args.turns) for axis in axes}, seconds)
         if args.plot:
             _plot(board.si(log), [axis_name(axis) for axis in axes], args.plot)

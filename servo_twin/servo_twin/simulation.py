@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import place, reached, word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
@@ -42,8 +43,8 @@ def keep_set_points(board: Board) -> None:
     board.write("param.command_timeout", 0.0)
 
 
-def enable(board: Board, search_max: float = SEARCH_MAX) -> NDArray[np.void]:
-    """Enable both axes of a new board and wait for SPIN; returns the recorded raw rows (slow ticks,).
+def enable(board: Board, search_max: float = SEARCH_MAX) -> float:
+    """Enable both axes of a new board and wait for SPIN; returns the duration of the rotor search [s].
 
     Parameters
     ----------
@@ -57,22 +58,20 @@ def enable(board: Board, search_max: float = SEARCH_MAX) -> NDArray[np.void]:
     SimulationError
         If an axis has a fault, or on a timeout of the rotor search.
     """
-    catalogue = board.catalogue
     keep_set_points(board)
     board.run(_BOOT)
     board.write("cmd.enable", [1] * AXES)
-    logs: list[NDArray[np.void]] = []
-    for _ in range(round(search_max / _STEP)):
-        logs.append(record(board, _STEP))
-        last = logs[-1][-1]
+    begin = board.clock()
+
+    def found() -> bool:
         for axis in range(AXES):
-            if faults := catalogue.active("faults", int(last[f"{axis_name(axis)}.faults"])):
+            if faults := board.catalogue.active("faults", word(board, axis, "faults")):
                 raise SimulationError(f"{axis_name(axis)}: " + "; ".join(f"{f.name}: {f.cause}" for f in faults))
-        spin = catalogue.enums["substate_t"]["SPIN"]
-        run = catalogue.enums["state_t"]["RUN"]
-        if all(last[f"{axis_name(a)}.state"] == run and last[f"{axis_name(a)}.substate"] == spin for a in range(AXES)):
-            return np.concatenate(logs)
-    raise SimulationError(f"rotor search not finished within {search_max:g} s")
+        return all(place(board, axis) == "SPIN" for axis in range(AXES))
+
+    if not reached(board, found, search_max, _STEP):
+        raise SimulationError(f"rotor search not finished within {search_max:g} s")
+    return board.clock() - begin
 
 
 def move(

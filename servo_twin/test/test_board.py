@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board, BoardError
 from servo_twin.plant import PlantConfig
-from servo_twin.simulation import keep_set_points
+from servo_twin.simulation import enable
 
 from servo_twin import _build_native
 
@@ -30,17 +30,6 @@ GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table
 def board() -> Iterator[Board]:
     with Board(seed=1) as board:
         yield board
-
-
-def enable(board: Board) -> None:
-    """Enable both axes and wait for the end of the rotor search; set-points do not expire."""
-    keep_set_points(board)
-    board.run(0.05)
-    board.write("cmd.enable", [1, 1])
-    limit_ns = board.time_ns + 3_000 * MS
-    while not all(board.read(f"axis{n}.substate") == SPIN for n in (1, 2)):
-        board.run(0.01)
-        assert board.time_ns < limit_ns, [board.read(f"axis{n}.faults") for n in (1, 2)]
 
 
 def session(board: Board) -> NDArray[np.void]:

@@ -31,8 +31,7 @@ SEED = 5
 def record(path: Path, *, friction: float = 1.0, wait: float = 0.0) -> Path:
     """Record a run that begins with a wait, and whose friction changes after a second of motion."""
     with SimulatedRun(path, Board(seed=SEED, level="ideal"), seed=SEED) as run:
-        while run.time < wait:
-            run.sample()
+        run.wait(wait)
         run.enable()
         motion = Motion(run, SEED)
         list(motion.run(1.0))

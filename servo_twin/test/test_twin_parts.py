@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from servo_msgs_py.board_port import reached
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.lockstep.applied_commands import AppliedCommands
 from servo_twin.lockstep.axis_alignment import AxisAlignment
-from servo_twin.lockstep.replica import Replica, slow_tick
+from servo_twin.lockstep.replica import POLL, Replica, slow_tick
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.samples import Activity, SampleReader, StandstillDetector, activity
 from twin_rig import CATALOGUE, COLUMNS
@@ -220,11 +221,11 @@ class TestReplica:
             alignment.stopping = False
         assert reported == [False, True, False, False, True]
 
-    def test_replica_runs_until_a_condition_holds(self, replica: Replica) -> None:
-        assert replica.run_until(lambda: replica.raw.get("axis1.state") == 2, SECOND)
+    def test_replica_waits_in_whole_slow_ticks(self, replica: Replica) -> None:
+        assert reached(replica, lambda: replica.raw.get("axis1.state") == 2, 1.0, POLL)
         assert replica.tick % 128 == 0
         tick = replica.tick
-        assert not replica.run_until(lambda: False, 1280)
+        assert not reached(replica, lambda: False, 0.08, POLL)
         assert replica.tick == tick + 1280
 
 

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Final, TypeVar
 
 import numpy as np
+from servo_msgs_py.board_port import reached
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.timed_points import TimedPoint, axes_of_points, encode_points
@@ -79,10 +80,15 @@ class SampledBoard:
     ) -> None:
         self.close()
 
-    @property
-    def time(self) -> float:
+    def clock(self) -> float:
         """Time of the real board since its reset [s]."""
-        return self.real.tick * PERIOD_NS * 1e-9
+        return self.real.clock()
+
+    def wait(self, seconds: float) -> None:
+        """Sample at least for `seconds` [s]."""
+        end = self.clock() + seconds
+        while self.clock() < end:
+            self.sample()
 
     def write(self, variable: str, values: Sequence[float], mask: int = (1 << AXES) - 1) -> None:
         """Write the masked axes of a command variable, SI; the next sample reports the effect."""
@@ -134,14 +140,10 @@ class SampledBoard:
         SimulationError
             On a timeout.
         """
-        while self.time < 0.1:
-            self.sample()
+        self.wait(0.1 - self.clock())
         self.write("cmd.enable", [1.0] * AXES)
-        while self.time < _TIME_MAX:
-            self.sample()
-            if self.ready():
-                return
-        raise SimulationError(f"no closed-loop control {_TIME_MAX:g} s after the reset: axes in {self.labels()}")
+        if not reached(self, self.ready, _TIME_MAX - self.clock()):
+            raise SimulationError(f"no closed-loop control {_TIME_MAX:g} s after the reset: axes in {self.labels()}")
 
 
 class BoardPair(SampledBoard):
@@ -216,8 +218,8 @@ class Motion:
         self._random = random.Random(f"motion {seed}")
         modes = pair.board.catalogue.enums["control_mode_t"]
         self._position, self._speed = modes["POSITION"], modes["SPEED"]
-        self._segments = [_Segment(pair.time) for _ in range(AXES)]
-        self._repeat = pair.time
+        self._segments = [_Segment(pair.clock()) for _ in range(AXES)]
+        self._repeat = pair.clock()
 
     def run(self, seconds: float) -> Iterator[Pair]:
         """Pairs of `seconds` of board time [s].
@@ -227,8 +229,8 @@ class Motion:
         SimulationError
             If the board has a fault.
         """
-        end = self._pair.time + seconds
-        while self._pair.time < end:
+        end = self._pair.clock() + seconds
+        while self._pair.clock() < end:
             self._command()
             for one in self._pair.sample():
                 if one.fault:
@@ -236,7 +238,7 @@ class Motion:
                 yield one
 
     def _command(self) -> None:
-        now = self._pair.time
+        now = self._pair.clock()
         for axis, segment in enumerate(self._segments):
             if now >= segment.until:
                 self._next(axis, segment, now)

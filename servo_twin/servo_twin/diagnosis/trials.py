@@ -127,7 +127,7 @@ class Trials:
                     part, _, entry = key.rpartition(".")
                     old = getattr(self.plant.bus if part == "bus" else self.plant.axes[axis], entry)
                 pair.board.set_plant(key, old * change.size if old else change.size)
-                begin = pair.time
+                begin = pair.clock()
                 since, _, said = _follow(monitor, motion, self.seconds, pair)
                 right = said == truth
                 findings = monitor.findings()
@@ -151,14 +151,14 @@ def _follow(
     monitor: DiagnosisMonitor, motion: Motion, seconds: float, pair: BoardPair
 ) -> tuple[float, tuple[str, ...], Verdict]:
     """Time of the last new finding [s], all findings, and the last finding."""
-    said, since, all_said = _said(monitor.findings()), pair.time, []
+    said, since, all_said = _said(monitor.findings()), pair.clock(), []
     for one in motion.run(seconds):
         if monitor.update(one):
             now = _said(monitor.findings())
             if now != said:
-                said, since = now, pair.time
+                said, since = now, pair.clock()
                 if now != Verdict(NOTHING):
-                    all_said.append(f"{pair.time:.1f} s: {now}")
+                    all_said.append(f"{pair.clock():.1f} s: {now}")
     return since, tuple(all_said), said
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
+from servo_msgs_py.board_port import reached
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 
-from servo_twin.lockstep.replica import Replica
+from servo_twin.lockstep.replica import POLL, Replica
 from servo_twin.lockstep.samples import ROTOR_REFERENCED, Activity, Sample, activity
 
 POINTS: Final = "cmd.points"
@@ -163,10 +164,10 @@ class AxisAlignment:
             self._hold = sample.position_ref[self._number]
         return not (self._aligned or self._caught_up or self.in_control(replica))
 
-    def catch_up(self, replica: Replica, maximum: int) -> None:
-        """Run the twin's board ahead until closed-loop control or a fault of this axis, at most `maximum` ticks."""
+    def catch_up(self, replica: Replica, seconds: float) -> None:
+        """Run the twin's board ahead until closed-loop control or a fault of this axis, at most `seconds` [s]."""
         self._caught_up = True
-        replica.run_until(lambda: self.in_control(replica) or replica.label(self._number) == "FAULT", maximum)
+        reached(replica, lambda: self.in_control(replica) or replica.label(self._number) == "FAULT", seconds, POLL)
 
     def in_control(self, replica: Replica) -> bool:
         """True if the twin's axis is in closed-loop control."""

@@ -6,17 +6,21 @@ between two slow ticks therefore takes effect with the later one, on the real an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import state_label
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import PERIOD, PERIOD_NS, SLOW_PERIODS, TICK
 
 from servo_twin.board import Board
 from servo_twin.lockstep.samples import expired_mask
 
 _WRAP: Final = 1 << 32
+
+
+POLL: Final = 16 * TICK
+"""Period of the test of a condition [s]."""
 
 
 def slow_tick(tick: int) -> int:
@@ -61,23 +65,6 @@ class Replica:
         self.raw = dict(zip(log.dtype.names or (), log[-1].tolist(), strict=True))
         assert self.raw["tick"] == tick % _WRAP
 
-    def run_until(self, condition: Callable[[], bool], maximum: int) -> bool:
-        """Run until the condition holds, at most `maximum` ticks; returns the condition.
-
-        Parameters
-        ----------
-        condition : callable
-            Evaluated every 16 slow ticks.
-        maximum : int
-            Longest run [PWM periods].
-        """
-        end = self.tick + maximum
-        while not condition():
-            if self.tick >= end:
-                return False
-            self.run_to(self.tick + 16 * SLOW_PERIODS)
-        return True
-
     def write(self, variable: str, raw: Sequence[int], mask: int) -> None:
         """Write the masked axes of a command variable; effective with the next slow tick.
 
@@ -111,7 +98,7 @@ class Replica:
 
     def clock(self) -> float:
         """Time of the last completed slow tick [s]."""
-        return self.tick * PERIOD_NS * 1e-9
+        return self.tick * PERIOD
 
     def wait(self, seconds: float) -> None:
         """Run at least for `seconds` [s], to the end of a slow tick."""

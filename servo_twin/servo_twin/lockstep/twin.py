@@ -24,19 +24,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.board_parameters import RawParameters, parameters
+from servo_msgs_py.board_port import reached
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.trace import Trace
-from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS, TICK
 
 from servo_twin.board import Board
 from servo_twin.lockstep.applied_commands import AppliedCommands
 from servo_twin.lockstep.axis_alignment import POINTS, AxisAlignment
 from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, checksums_of, repeat_blocks, write_blocks
 from servo_twin.lockstep.bursts import Alignment, BurstAnswer, BurstSampler
-from servo_twin.lockstep.replica import Replica, slow_tick
+from servo_twin.lockstep.replica import POLL, Replica, slow_tick
 from servo_twin.lockstep.samples import PER_BOARD, Activity, Sample, SampleReader, StandstillDetector, activity
 from servo_twin.plant import PlantConfig
 
@@ -358,7 +359,7 @@ class Twin:
                 self._wait(f"{axis_name(number)} is not at rest")
                 return False
         replica = self._switch_on()
-        replica.run_until(lambda: set(self.labels()) == {"STOP"}, _ticks(_SETTLE))
+        reached(replica, lambda: set(self.labels()) == {"STOP"}, _SETTLE, POLL)
         write_blocks(replica, self._blocks)
         self._note_torque(replica)
         for number in range(AXES):
@@ -443,7 +444,7 @@ class Twin:
         """Align the axes that have entered closed-loop control on both boards."""
         for number, axis in enumerate(self._axes):
             if axis.must_catch_up(replica, sample) and self._others_at_rest(number, sample):
-                axis.catch_up(replica, _ticks(self.settings.search))
+                axis.catch_up(replica, self.settings.search)
                 self._shift = replica.tick - sample.tick
             if axis.align(replica):
                 self._set_winding_estimate(replica, number)
@@ -512,4 +513,4 @@ class Twin:
 
 def _ticks(seconds: float) -> int:
     """Convert board time [s] to PWM periods, rounded to slow ticks."""
-    return round(seconds * 1e9 / (PERIOD_NS * SLOW_PERIODS)) * SLOW_PERIODS
+    return round(seconds / TICK) * SLOW_PERIODS

@@ -241,7 +241,7 @@ def _driven(result: Result, configuration: Configuration, plant: PlantConfig, se
         moves = _moves(board, DURATION_MAX * planned + SETTLING + 1.0)
     result = dataclasses.replace(
         result,
-        search=searching.size * configuration.board.tick,
+        search=searching,
         overshoot=max(one.overshoot for one in moves),
         duration=max(math.inf if one.settling_time is None else one.settling_time / planned for one in moves),
     )

@@ -30,7 +30,7 @@ def _move(plant: PlantConfig, seed: int) -> Outcome:
     with fresh_board(plant, seed) as board:
         search = enable(board)
         results, _ = move(board, {axis: turns(MOVE_TURNS) for axis in range(AXES)}, MOVE_TIME)
-    rows = [Row("both rotors found", BEYOND, float(len(search)) * 0.5, "ms", OPEN)]
+    rows = [Row("both rotors found", BEYOND, 1e3 * search, "ms", OPEN)]
     for r in results:
         settling = None if r.settling_time is None else 1e3 * r.settling_time
         rows += [
