@@ -16,11 +16,13 @@ import pytest
 from chain import DOMAIN, ros_user
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
+from servo_msgs_py.run_file.reader import RunReader
+from servo_msgs_py.run_file.run_info import run_info, string_of
 from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, executable
-from servo_twin.up import Stack, main
+from servo_twin.up import Stack, _run_file, main, parser
 
 from servo_twin import up as up_module
 
@@ -152,7 +154,29 @@ def test_demonstration_moves_records_and_draws_where_board_time_is_slow(tmp_path
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
     verify = [str(executable("rerun")), "rrd", "verify", str(tmp_path / "demo.rrd")]
     assert subprocess.run(verify, capture_output=True, check=False).returncode == 0
+    run = RunReader(tmp_path / "demo.mcap")
+    records = list(run.records())
+    assert run.troubles == []
+    assert {"/servo/snapshot", "/servo/commands_applied", "/twin/residual", "/rosout"} <= {
+        each.topic for each in records
+    }
+    info = run_info(string_of([each.data for each in records if each.topic == "/servo/run_info"][-1]))
+    assert info.virtual_board is not None
+    assert (info.virtual_board.level, info.virtual_board.seed, len(info.configuration)) == ("ideal", 1, 2)
     assert left_behind(str(tmp_path)) == []
+
+
+def test_old_recordings_of_sessions_are_removed(tmp_path: Path) -> None:
+    for day in range(10, 20):
+        for name in (f"up-202601{day}-120000.mcap", f"up-202601{day}-120000_1.mcap"):
+            (tmp_path / name).touch()
+    (tmp_path / "demo.mcap").touch()
+    path = _run_file(parser().parse_args(["--out", str(tmp_path)]))
+    assert path.name.startswith("up-20")
+    sessions = {file.name.split("-")[1] for file in tmp_path.glob("up-*.mcap")}
+    assert sessions == {f"202601{day}" for day in range(16, 20)}  # and this one
+    assert _run_file(parser().parse_args(["--demo", "--out", str(tmp_path)])) == tmp_path / "demo.mcap"
+    assert not (tmp_path / "demo.mcap").exists()
 
 
 def test_folder_of_a_running_servo_up_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

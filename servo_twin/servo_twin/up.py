@@ -14,12 +14,14 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.quantity import Quantity
+from servo_msgs_py.run_file.series import segments, split
 from servo_msgs_py.runtime.claim import ClaimError, claimed
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.node_name import taken
@@ -37,6 +39,7 @@ _BRIDGE: Final = "servo/servo_bridge"  # namespace and name of the bridge
 _DEMO_WAIT: Final = 60.0  # of the demonstration without progress while it connects [s]; up watches the processes
 _ANNOUNCE: Final = 0.2  # interval of the messages about the processes [s]
 _PICTURE, _RECORDING, _FIGURES = "demo.png", "demo.rrd", "demo.json"  # results of the demonstration
+_RUNS_KEPT: Final = 5  # recordings of earlier sessions in the folder of the results
 _RANGE, _LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 _DOMAIN_MAX: Final = 232  # higher domain ids exceed the range of UDP ports
 
@@ -216,6 +219,20 @@ def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     return str(link)
 
 
+def _run_file(args: argparse.Namespace) -> Path:
+    """Path of the recording of this session; removes those that it replaces."""
+    if args.demo:
+        path = Path(args.out, "demo.mcap")
+        replaced = segments(path)
+    else:
+        path = Path(args.out, time.strftime("up-%Y%m%d-%H%M%S.mcap"))
+        sessions = sorted({name.with_name(f"{split(name)[0]}.mcap") for name in args.out.glob("up-*.mcap")})
+        replaced = [file for session in sessions[: 1 - _RUNS_KEPT] for file in segments(session)]
+    for file in replaced:
+        file.unlink()
+    return path.absolute()
+
+
 def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Path | None) -> None:
     """Start all processes; `Stack.announce` prints their state.
 
@@ -225,7 +242,10 @@ def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Pat
         If a child process fails.
     """
     port = args.port or _virtual_board(stack, args, folder)
-    parameters = {"port": port, "baud": args.baud, "board_parameters": args.set or [""]}
+    run_file = _run_file(args)
+    _print(f"recording of the run: {run_file}")
+    escaped = str(run_file).replace("%", "%%")  # the bridge inserts the time
+    parameters = {"port": port, "baud": args.baud, "board_parameters": args.set or [""], "run_file": escaped}
     bridge = stack.start("servo_bridge", *parameter_arguments(**parameters))
     # The twin has the plant of the virtual board, but another seed: start angles and noise differ.
     files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
