@@ -83,12 +83,13 @@ up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for
 experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments
 
-bench: $(VENV)/.native $(VENV)/.dev ## telemetry, latency and download against the wire; cost of a lost frame; error along a path; real-time factor of a board
+bench: $(VENV)/.native $(VENV)/.dev ## telemetry, latency and download against the wire; cost of a lost frame; error along a path; recording of a run; real-time factor of a board
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/telemetry.py
 	@$(BIN)/python tests/bench/link.py
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/download.py
 	@$(BIN)/python tests/bench/trajectories.py
 	@$(BIN)/python tests/bench/sweep.py
+	@$(BIN)/python tests/bench/recording.py
 	@$(BIN)/servo-sim bench
 
 bench-damage: $(VENV)/.native $(VENV)/.dev ## a million damaged frames between client and server; DAMAGE_ARGS='--frames 1000'
