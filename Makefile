@@ -63,7 +63,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware chip-budget bench-twin bench-state launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
+.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware chip-budget bench-twin bench-fmu bench-state launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -104,6 +104,9 @@ chip-budget: ## stack and RAM of the chip, estimated with arm-none-eabi-gcc and 
 bench-twin: $(VENV)/.fast ## how fast a virtual board is, at both levels; where its time goes; against other simulators
 	@PYTHONPATH=tests $(BIN)/python tests/bench/twin.py
 	@$(BIN)/python tests/bench/plant.py
+
+bench-fmu: $(VENV)/.native $(VENV)/.dev ## bits of an exported FMU against those of the native board, over a million PWM periods
+	@PYTHONPATH=servo_twin/test $(BIN)/python tests/bench/fmu.py
 
 bench-state: $(VENV)/.native ## size of the state of a virtual board, time to save and to restore it
 	@$(BIN)/python tests/bench/board_state.py

@@ -9,13 +9,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from pycparser import c_ast, c_parser
 
 from servo_twin._core_time import preprocessed
-
-BUILD: Final = Path(__file__).resolve().parents[1] / "build" / "pointers"
 
 
 class _Types(c_ast.NodeVisitor):
@@ -82,7 +80,7 @@ class _Types(c_ast.NodeVisitor):
                         yield f".{member.name}{place}"
 
 
-def write_pointers(source: Path, include: Sequence[Path], options: Sequence[str], build: str) -> Path:
+def write_pointers(source: Path, include: Sequence[Path], options: Sequence[str], build: str, folder: Path) -> Path:
     """Write ``board_pointers.h``, unless it is up to date, for a file with ``struct board``.
 
     Parameters
@@ -95,13 +93,15 @@ def write_pointers(source: Path, include: Sequence[Path], options: Sequence[str]
         Options of the preprocessor.
     build : str
         Identity of the build, 16 hexadecimal digits.
+    folder : Path
+        Folder of the header.
 
     Returns
     -------
     Path
-        The header, in a folder of its own.
+        The header.
     """
-    header = BUILD / source.stem / "board_pointers.h"
+    header = folder / "board_pointers.h"
     constant = f"#define BOARD_BUILD UINT64_C(0x{build}) /* sources, options and compiler */\n"
     if header.is_file() and constant in header.read_text(encoding="ascii"):
         return header

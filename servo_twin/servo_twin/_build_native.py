@@ -38,8 +38,11 @@ _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 # -O3 of gcc is 5 % slower.
 OPTIONS = ("-std=c99", "-O2", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", "-flto=auto")
 
+COMPILER = sysconfig.get_config_var("CC").split()
+"""Compiler of the extension modules."""
+
 # Options of the Makefile for this machine: processor, profile.
-_EXTRA = os.environ.get("SERVO_TWIN_FLAGS", "").split()
+EXTRA = os.environ.get("SERVO_TWIN_FLAGS", "").split()
 
 # -isystem exempts the headers of Python from warnings. -Wno-psabi: vectors are passed to inlined functions only; the
 # note of gcc about them cannot be disabled by a pragma.
@@ -91,15 +94,20 @@ def _relative(paths: Iterable[Path]) -> list[str]:
     return [os.path.relpath(path) for path in paths]
 
 
-def _build_identity(files: Iterable[Path], options: Iterable[str]) -> str:
+def build_identity(files: Iterable[Path], options: Iterable[str]) -> str:
     """Digest of sources, options and compiler, 16 hexadecimal digits."""
-    compiler = subprocess.run(
-        [*sysconfig.get_config_var("CC").split(), "--version"], capture_output=True, text=True, check=True
-    ).stdout
+    compiler = subprocess.run([*COMPILER, "--version"], capture_output=True, text=True, check=True).stdout
     digest = hashlib.sha256(f"{compiler}{[*options]}".encode())
     for path in files:
         digest.update(f"{path.name}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def board_files(native: Sequence[Path], sources: Sequence[Path] | None = None) -> tuple[list[Path], list[Path]]:
+    """C files of a board, with those of its level in `native`, and all headers; `sources`: see `make_ffi`."""
+    headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
+    common = [NATIVE / name for name in ("board.c", "board_state.c", "flash.c")]
+    return [*common, *native, *sorted((NATIVE / "plant").glob("*.c")), *(sources or firmware_sources())], headers
 
 
 def make_ffi(
@@ -112,17 +120,15 @@ def make_ffi(
 
     The first file of `native` includes the definition of ``struct board``.
     """
-    headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
-    files = [
-        NATIVE / "board.c",
-        NATIVE / "board_state.c",
-        NATIVE / "flash.c",
-        *native,
-        *sorted((NATIVE / "plant").glob("*.c")),
-        *(sources or firmware_sources()),
-    ]
-    compiled = [*OPTIONS, *WARNINGS, *options, *_EXTRA]
-    pointers = write_pointers(native[0], [NATIVE, FIRMWARE], options, _build_identity([*files, *headers], compiled))
+    files, headers = board_files(native, sources)
+    compiled = [*OPTIONS, *WARNINGS, *options, *EXTRA]
+    pointers = write_pointers(
+        native[0],
+        [NATIVE, FIRMWARE],
+        options,
+        build_identity([*files, *headers], compiled),
+        PACKAGE / "build" / "pointers" / native[0].stem,
+    )
     builder = FFI()
     for header in (NATIVE / "chip" / "trace.h", NATIVE / "board.h"):
         builder.cdef(declarations(header.read_text(encoding="utf-8")))
@@ -134,12 +140,12 @@ def make_ffi(
         depends=_relative([*headers, pointers]),
         libraries=["m"],
         extra_compile_args=[*compiled, f"-isystem{sysconfig.get_paths()['include']}"],
-        extra_link_args=_EXTRA,
+        extra_link_args=EXTRA,
     )
     return builder
 
 
-_IDEAL = [NATIVE / name for name in ("board_ideal_layout.c", "board_ideal.c", "ideal_chip.c", "uart.c")]
+IDEAL = [NATIVE / name for name in ("board_ideal_layout.c", "board_ideal.c", "ideal_chip.c", "uart.c")]
 _REGISTERS = [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c"))]
 _ON_HOST = ["-DCHIP_ON_HOST"]
 
@@ -153,7 +159,7 @@ def charged_sources() -> list[Path]:
 
 def ffi() -> FFI:
     """``servo_twin._native``."""
-    return make_ffi("servo_twin._native", _IDEAL)
+    return make_ffi("servo_twin._native", IDEAL)
 
 
 def registers_ffi() -> FFI:

@@ -7,9 +7,10 @@ import json
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import IO, Any, Final, get_args
 
 from servo_msgs_py.catalogue import AXIS_NAMES
+from servo_msgs_py.output_file import write_file
 
 from servo_twin.board_memory import BoardError
 from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
@@ -47,9 +48,13 @@ class BoardState:
         plant = dataclasses.asdict(self.plant)
         plant |= zip(AXIS_NAMES, plant.pop("axes"), strict=True)
         head = {"level": self.level, "time_ns": self.time_ns, "seed": self.seed, "plant": plant, "faults": faults}
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-            file.writestr(_HEAD, json.dumps(head))
-            file.writestr(_IMAGE, self.image)
+
+        def write(stream: IO[bytes]) -> None:
+            with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as file:
+                file.writestr(_HEAD, json.dumps(head))
+                file.writestr(_IMAGE, self.image)
+
+        write_file(Path(path), write)
 
     @classmethod
     def load(cls, path: Path | str) -> BoardState:

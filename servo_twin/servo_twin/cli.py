@@ -58,6 +58,10 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("--time", type=argument.positive, default=10.0, help="simulated time [s] (default: %(default)s)")
     bench.set_defaults(run=_bench)
 
+    exporter = verbs.add_parser("export", parents=[common], help="compile a board for other simulators (FMI 3.0)")
+    exporter.add_argument("--fmu", type=Path, required=True, metavar="FILE", help="co-simulation unit to be written")
+    exporter.set_defaults(run=_export)
+
     experiment.add_parser(verbs, common, _levelled(FAST_LEVEL))
     sweep.add_parser(verbs, common, _levelled(FAST_LEVEL))
     robust_command.add_parser(verbs, common, _levelled(FAST_LEVEL))
@@ -77,6 +81,17 @@ def _levelled(default: Level) -> argparse.ArgumentParser:
 
 def _board(args: argparse.Namespace) -> Board:
     return Board(PlantConfig.load(args.plant) if args.plant else None, seed=args.seed, level=args.level)
+
+
+def _export(args: argparse.Namespace) -> int:
+    from servo_twin.fmu import export_fmu  # needs a C compiler and the sources, unlike the other commands
+
+    export_fmu(args.fmu, PlantConfig.load(args.plant), args.seed)
+    if args.json:
+        print(json.dumps({"fmu": str(args.fmu)}))
+    else:
+        print(f"wrote {args.fmu}")
+    return 0
 
 
 def _info(args: argparse.Namespace) -> int:

@@ -1,0 +1,224 @@
+"""The exported FMU in FMPy: a valid file, the bits of the native board, states, refusals."""
+
+from __future__ import annotations
+
+import random
+import struct
+import subprocess
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.fmu import export_fmu
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import keep_set_points
+
+pytest.importorskip("fmpy", reason="what FMPy needs has no wheels for Python 3.10")
+
+from fmpy.fmi3 import FMU3Slave
+from fmpy.model_description import ModelDescription, read_model_description
+from fmpy.validation import validate_fmu
+
+SEED: Final = 3
+PERIOD_NS: Final = 62_500
+PLANT: Final = PlantConfig.load().with_axis(0, theta_start=0.5, friction=3e-3)
+
+
+def unpacked(path: Path) -> Path:
+    """Folder with the contents of an FMU."""
+    folder = path.with_suffix("")
+    with zipfile.ZipFile(path) as file:
+        file.extractall(folder)
+    return folder
+
+
+def packed(numbers: Sequence[float]) -> bytes:
+    """Bits of numbers."""
+    return struct.pack(f"<{len(numbers)}d", *numbers)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The file, and a folder with its contents."""
+    folder = tmp_path_factory.mktemp("fmu")
+    export_fmu(folder / "board.fmu", PLANT, SEED)
+    return folder / "board.fmu", unpacked(folder / "board.fmu")
+
+
+@pytest.fixture(scope="module")
+def description(exported: tuple[Path, Path]) -> ModelDescription:
+    return read_model_description(str(exported[0]))
+
+
+class Instance:
+    """One FMU instance, with variables by name."""
+
+    def __init__(self, contents: Path, description: ModelDescription) -> None:
+        self.messages: list[str] = []
+        self.slave = FMU3Slave(
+            guid=description.guid,
+            unzipDirectory=str(contents),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="board",
+        )
+        self.slave.instantiate(
+            logMessage=lambda _environment, _status, _category, text: self.messages.append(str(text))
+        )
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        self.outputs = [v.valueReference for v in description.modelVariables if v.causality == "output"]
+        self.time_ns = 0
+
+    def start(self) -> None:
+        self.slave.enterInitializationMode(startTime=0.0)
+        self.slave.exitInitializationMode()
+
+    def set(self, name: str, value: float) -> None:
+        self.slave.setFloat64([self.references[name]], [value])
+
+    def get(self, name: str) -> float:
+        return float(self.slave.getFloat64([self.references[name]])[0])
+
+    def step(self, periods: float) -> None:
+        self.slave.doStep(self.time_ns * 1e-9, periods * PERIOD_NS * 1e-9)
+        self.time_ns += round(periods * PERIOD_NS)
+
+    def everything(self) -> bytes:
+        """The bits of all outputs."""
+        return packed(self.slave.getFloat64(self.outputs))
+
+
+@pytest.fixture
+def fmu(exported: tuple[Path, Path], description: ModelDescription) -> Iterator[Instance]:
+    instance = Instance(exported[1], description)
+    yield instance
+    instance.slave.freeInstance()
+
+
+def command(target: Any) -> list[tuple[int, Any]]:
+    """Inputs of a board or an FMU by PWM period."""
+    if isinstance(target, Instance):
+        return [
+            (320, lambda: target.set("axis1.cmd.enable", 1.0)),
+            (320, lambda: target.set("axis2.cmd.enable", 1.0)),
+            (9600, lambda: target.set("axis1.cmd.position", 6.0)),
+            (9600, lambda: target.set("axis2.cmd.position", -3.0)),
+            (10400, lambda: target.set("axis1.torque", -0.05)),
+            (11200, lambda: target.set("supply.u_source", 20.0)),
+            (12000, lambda: target.set("axis2.motor_unplugged", 1.0)),
+        ]
+    return [
+        (320, lambda: target.write("cmd.enable", [1, 1])),
+        (9600, lambda: target.write("cmd.position", [6.0, -3.0])),
+        (10400, lambda: target.set_load(0, 0.05)),
+        (11200, lambda: target.set_supply(20.0)),
+        (12000, lambda: target.connect_motor(1, False)),
+    ]
+
+
+def expected(board: Board, description: ModelDescription) -> list[float]:
+    """Outputs of the FMU from the native board."""
+    truths = {axis: board.truth(axis)._asdict() for axis in (0, 1)}
+    values = []
+    for variable in description.modelVariables:
+        if variable.causality == "output":
+            part, _, rest = variable.name.partition(".")
+            if part == "truth":
+                values.append(truths[int(rest[4]) - 1][rest[6:]])
+            else:
+                entry = board.catalogue[variable.name]
+                values.append(float(board.read_words(variable.name)[0] * float(entry.lsb)))
+    return values
+
+
+def test_file_is_valid(exported: tuple[Path, Path]) -> None:
+    assert validate_fmu(str(exported[0])) == []
+
+
+def test_every_bit_is_that_of_the_native_board(fmu: Instance, description: ModelDescription) -> None:
+    draw = random.Random(1)
+    with Board(PLANT, seed=SEED, level="ideal") as board:
+        keep_set_points(board)
+        fmu.start()
+        inputs = [*command(board), *command(fmu)]
+        while fmu.time_ns < 14_000 * PERIOD_NS:
+            period = fmu.time_ns // PERIOD_NS
+            for _, apply in (one for one in inputs if one[0] == period):
+                apply()
+            upcoming = [at - period for at, _ in inputs if at > period]
+            fmu.step(min(draw.randrange(1, 40), *upcoming) if upcoming else draw.randrange(1, 40))
+            board.advance(fmu.time_ns)
+            assert fmu.everything() == packed(expected(board, description))
+        assert board.read("axis1.position") != 0
+
+
+def test_parameters_are_the_plant(fmu: Instance) -> None:
+    assert fmu.get("plant.axis1.friction") == 3e-3
+    fmu.set("plant.axis2.theta_start", 1.25)
+    fmu.start()
+    assert fmu.get("truth.axis2.theta_m") == 1.25
+
+
+def test_step_back_and_another_instance_continue_with_the_same_bits(
+    fmu: Instance, exported: tuple[Path, Path], description: ModelDescription
+) -> None:
+    fmu.start()
+    for name in ("axis1.cmd.enable", "axis2.cmd.enable"):
+        fmu.set(name, 1.0)
+    fmu.step(1603)
+    state = fmu.slave.getFMUState()
+    data = fmu.slave.serializeFMUState(state)
+    fmu.step(2000)
+    end, began = fmu.everything(), 1603 * PERIOD_NS
+    fmu.slave.setFMUState(state)
+    fmu.slave.freeFMUState(state)
+    fmu.time_ns = began
+    fmu.step(2000)
+    assert fmu.everything() == end
+    other = Instance(exported[1], description)
+    other.slave.setFMUState(other.slave.deserializeFMUState(data))
+    other.time_ns = began
+    other.step(2000)
+    assert other.everything() == end
+    assert other.get("axis1.cmd.enable") == 1.0
+    with pytest.raises(Exception, match="fmi3DeserializeFMUState"):
+        other.slave.deserializeFMUState(data[:-1])
+    other.slave.freeInstance()
+
+
+@pytest.mark.parametrize(
+    ("mistake", "message"),
+    [
+        (lambda fmu: fmu.step(1.5), "communicationStepSize: is not a multiple of a PWM period, 62.5 us"),
+        (lambda fmu: fmu.slave.doStep(5e-3, 62.5e-6), "currentCommunicationPoint: is not the end of the last step"),
+        (lambda fmu: fmu.set("axis1.torque", float("nan")), "not a number"),
+        (lambda fmu: fmu.set("axis1.cmd.speed", 1e6), "axis1.cmd.speed: the firmware refuses"),
+        (lambda fmu: fmu.set("plant.axis1.r_s", 1.0), "no variable that can be set now"),
+    ],
+)
+def test_mistake_is_refused_with_a_reason_and_changes_nothing(fmu: Instance, mistake: Any, message: str) -> None:
+    fmu.start()
+    fmu.step(100)
+    before = fmu.everything()
+    with pytest.raises(Exception, match="fmi3"):
+        mistake(fmu)
+    assert message in fmu.messages[-1]
+    assert fmu.everything() == before
+    fmu.step(1)
+
+
+def test_binary_needs_no_python_and_the_sources_compile(exported: tuple[Path, Path]) -> None:
+    contents = exported[1]
+    (library,) = contents.glob("binaries/*/*.so")
+    listed = subprocess.run(["ldd", library], capture_output=True, text=True, check=True).stdout
+    assert "libc" in listed
+    assert "python" not in listed
+    sources = contents / "sources"
+    include = [f"-I{sources / name}" for name in ("servo_twin/native", "firmware", "generated")]
+    files = [
+        sources / "servo_twin" / "native" / name for name in ("fmu/fmu.c", "board_ideal_layout.c", "board_state.c")
+    ]
+    strict = ["-std=c99", "-fsyntax-only", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    subprocess.run(["cc", *strict, *include, *files], check=True)
