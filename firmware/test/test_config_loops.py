@@ -283,6 +283,13 @@ FINDINGS = [
     case("axis1.limits.speed = 400", "386.4 rad/s", axis1__limits__over_speed=420.0),
     case("axis1.control.path_current_use = 0.99", "the limit is 4 A"),
     case("axis1.limits.acceleration = 25000", "4.33 A"),
+    case(
+        "axis1.control.speed_bandwidth (in [defaults.control]) = 75",
+        "one count at this frequency requires 0.755 A, more than 0.5 A",
+        axis1__motor__inertia=1e-4,
+        axis1__limits__current=1.0,
+        axis1__rotor_search__current=1.0,
+    ),
     case("axis1: position K_v = 0.001 1/s", "rounding", axis1__control__position_gain=0.001),
 ]
 

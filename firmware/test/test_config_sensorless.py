@@ -221,8 +221,10 @@ def test_the_sign_current_follows_the_inductance() -> None:
     assert axis().constants["current_loop.dead_time.slope"] == axis(2).constants["current_loop.dead_time.slope"]
     slope = axis(axis1__motor__l_d=0.15e-3).constants["current_loop.dead_time.slope"]
     assert slope == round(256.0 * 8.25 / (1.25 * 24.0e-6 / 0.15e-3))
-    with pytest.raises(ConfigError, match=r"^axis1\.limits\.current .*changes by 4\.8 A during a dead time"):
+    with pytest.raises(ConfigError, match=r"^axis1\.limits\.current .*changes by 4\.8 A during a dead time") as refusal:
         axis(axis1__motor__l_d=5e-6)
+    # the dead time is a property of the switches
+    assert [one.entry for one in refusal.value.problem.remedies] == ["axis1.limits.current"]
 
 
 def test_a_resistance_error_above_the_back_emf_causes_a_warning() -> None:

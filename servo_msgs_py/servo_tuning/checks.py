@@ -107,8 +107,8 @@ def _voltage(axis: Axis, board: Board) -> None:
             "its direction is not known"
         )
         advice = "add inductance to the motor cable"
-        changes = higher("limits.current"), higher("motor.l_d"), lower("board.dead_time")
-        raise axis.refused("limits.current", reason, *changes, advice)
+        # not a shorter dead time: the switches determine it, and a too short one shorts the half bridge
+        raise axis.refused("limits.current", reason, higher("limits.current"), advice)
     maximum = idle_speed(axis, board)
     if axis("limits.speed") > maximum:
         reason = f"above the no-load speed of {maximum:.4g} rad/s at {board('nominal_voltage'):g} V"

@@ -30,6 +30,9 @@ OVERSHOOT_MAX: Final = 0.01
 MOVE_OVERSHOOT_MAX: Final = 2.0
 """Largest overshoot of a shaped move at the speed limit [counts]."""
 
+DITHER_USE_MAX: Final = 0.5
+"""Largest current of an oscillation of one count at the bandwidth of the speed loop, over the current limit."""
+
 ROUNDING_MAX: Final = 0.01
 """Largest relative error of a gain by rounding to an integer."""
 
@@ -77,6 +80,7 @@ def findings(design: Tuned, figures: Assessment) -> list[Problem]:
     return [
         *_margins(design, figures),
         *_inertias(design, figures),
+        *_dither(design),
         *_position(design, figures),
         *_reach(design, figures),
         *_field_weakening(design),
@@ -99,6 +103,18 @@ def _margins(design: Tuned, figures: Assessment) -> Iterator[Problem]:
         if gain is not None and gain < GAIN_MIN:
             reason = f"the {loop.name} loop has a gain margin of {gain:.2f}, less than {GAIN_MIN:g}"
             yield design.axis.problem(path, reason, lower(path))
+
+
+def _dither(design: Tuned) -> Iterator[Problem]:
+    """At rest the shaft oscillates by a count; a controller that answers with its full current moves it by several."""
+    axis, path = design.axis, "control.speed_bandwidth"
+    count, omega = 2.0 * math.pi / axis.counts, 2.0 * math.pi * axis(path)
+    current = axis("motor.inertia") * omega**2 * count / axis.torque_constant
+    limit = DITHER_USE_MAX * axis("limits.current")
+    if current > limit:
+        reason = f"an oscillation of one count at this frequency requires {current:.3g} A, more than {limit:.3g} A"
+        reason = f"{reason}, {DITHER_USE_MAX:g} of limits.current: the shaft would not come to rest"
+        yield axis.problem(path, reason, lower(path), higher("limits.current"))
 
 
 def _inertias(design: Tuned, figures: Assessment) -> Iterator[Problem]:
