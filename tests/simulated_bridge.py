@@ -301,6 +301,9 @@ class SimulatedNode:
     def get_publishers_info_by_topic(self, _name: str) -> list[Any]:
         return []
 
+    def get_parameter(self, name: str) -> Any:
+        return SimpleNamespace(value=PARAMETERS[name].default)
+
     def get_logger(self) -> _Logger:
         return self.logger
 
@@ -389,7 +392,9 @@ class BridgeSimulation:
         self._replace("servo_bridge.sample_clocks", "WallClock", partial(WallClock, steady=clock_ns))
         self._replace(_ASSEMBLY, "Follower", partial(Follower, clock=steady.monotonic))
         self._replace(_ASSEMBLY, "action_interfaces", _nothing)
-        self._replace(_ASSEMBLY, "TuningService", mock.MagicMock())  # it has a thread
+        self._replace(
+            _ASSEMBLY, "TuningService", mock.MagicMock(return_value=mock.MagicMock(blocks=[]))
+        )  # it has a thread
         self.start_bridge()
         return self
 

@@ -13,7 +13,20 @@ from test_helps import PROGRAMS, main_parser, parsers
 from servo_msgs_py import argument
 
 CHECKED: Final = (argument.output_file, argument.output_folder, argument.picture)
-INPUTS: Final = {"config", "core", "flash", "link", "measured", "plant", "recording", "thresholds", "twin_plant"}
+INPUTS: Final = {
+    "config",
+    "core",
+    "firmware",
+    "flash",
+    "link",
+    "measured",
+    "plant",
+    "recording",
+    "run",
+    "runs",
+    "thresholds",
+    "twin_plant",
+}
 """Options with paths that are read, or have a check of their own."""
 
 
@@ -24,7 +37,7 @@ def test_every_option_with_a_path_is_checked_or_an_input(module: str, monkeypatc
     for action in found:
         if action.dest in ("out", "output", "json", "plot", "record", "rrd", "save") and action.nargs != 0:
             assert action.type in CHECKED, action
-            assert action.default is None or isinstance(action.default, str), "argparse checks defaults of type str"
+            assert not action.default or isinstance(action.default, str), "argparse checks defaults of type str"
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,9 @@ def test_refusals_of_the_bridge_are_printed(rig: Rig, command: Command) -> None:
     rig.until(lambda: rig.parameters().get("param.position_max") == one)
     status, out, err = command("set", "param.position_min[0]=2")
     assert (status, out) == (1, "")
-    assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad exceeds")
+    assert err.startswith(
+        "servo-command: set was refused: parameter board_parameters: param.position_min[0] 1.99962 rad exceeds"
+    )
 
 
 def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:

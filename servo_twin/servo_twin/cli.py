@@ -59,7 +59,9 @@ def parser() -> argparse.ArgumentParser:
     bench.set_defaults(run=_bench)
 
     exporter = verbs.add_parser("export", parents=[common], help="compile a board for other simulators (FMI 3.0)")
-    exporter.add_argument("--fmu", type=Path, required=True, metavar="FILE", help="co-simulation unit to be written")
+    exporter.add_argument(
+        "--fmu", type=argument.output_file, required=True, metavar="FILE", help="co-simulation unit to be written"
+    )
     exporter.set_defaults(run=_export)
 
     experiment.add_parser(verbs, common, _levelled(FAST_LEVEL))

@@ -33,9 +33,9 @@ def wrong(spoil: Callable[[Board], None]) -> set[str]:
 def test_timing_agrees_and_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "timing.png"
     assert main(["timing", "--seed", "3", "--json", "--plot", str(picture)]) == 0
-    rows = {row["name"]: row["measured"] for row in json.loads(capsys.readouterr().out)}
-    assert rows["timing: motor 2 behind motor 1, maximum"] == pytest.approx(180.0, abs=0.3)
-    assert rows["timing: start interrupt"] == 1.0
+    rows = {row["figure"]: row["measured"] for row in json.loads(capsys.readouterr().out)}
+    assert rows["motor 2 behind motor 1, maximum"] == pytest.approx(180.0, abs=0.3)
+    assert rows["start interrupt"] == 1.0
     assert picture.stat().st_size > 50_000
 
 

@@ -16,6 +16,7 @@ from servo_msgs_py.runtime.program import program
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.trace import Trace
 
+from servo_msgs_py import argument
 from servo_twin.board import BoardError, SimulationError, firmware_of
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import FAST_LEVEL, add_level_option, chosen_level
@@ -64,7 +65,13 @@ def parser() -> argparse.ArgumentParser:
     )
     replayer.add_argument("--json", action="store_true", help="print the result as JSON")
     replayer.add_argument(
-        "-o", "--output", type=Path, action="append", default=[], metavar="FILE", help=".mcap, .rrd or .json"
+        "-o",
+        "--output",
+        type=argument.output_file,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help=".mcap, .rrd or .json",
     )
     replayer.set_defaults(run_command=_replay)
     comparer = verbs.add_parser(
@@ -86,7 +93,13 @@ def parser() -> argparse.ArgumentParser:
     comparer.add_argument("--thresholds", type=Path, metavar="FILE", help="noise, from `servo_twin calibrate`")
     comparer.add_argument("--json", action="store_true", help="print the differences as JSON")
     comparer.add_argument(
-        "-o", "--output", type=Path, action="append", default=[], metavar="FILE", help=".png, .svg, .pdf or .rrd"
+        "-o",
+        "--output",
+        type=argument.output_file,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help=".png, .svg, .pdf or .rrd",
     )
     comparer.set_defaults(run_command=_compare)
     return result
