@@ -21,6 +21,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.node import ServoBridge
@@ -403,8 +404,9 @@ class Rig:
     def diagnosis(self, part: str) -> Any:
         """Diagnostic status of one part after the periodic update."""
         assert self.bridge.supervisor is not None
-        seen = len(self.messages[topics.DIAGNOSTICS])
+        begun = self.bridge.get_clock().now()
         self.bridge.supervisor._every_second()
-        self.until(lambda: len(self.messages[topics.DIAGNOSTICS]) > seen)
-        statuses = self.messages[topics.DIAGNOSTICS][-1].status
-        return next(s for s in statuses if s.name == f"servo/servo_bridge: {part}")
+        found = self.messages[topics.DIAGNOSTICS]
+        # A message of the timer may still be on the way.
+        self.until(lambda: found and Time.from_msg(found[-1].header.stamp) >= begun)
+        return next(s for s in found[-1].status if s.name == f"servo/servo_bridge: {part}")
