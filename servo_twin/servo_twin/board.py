@@ -320,7 +320,7 @@ class Board:
     def copy(self) -> Board:
         """Another board in the same state (see `state`); each then continues by itself."""
         state = self.state()
-        board = Board(state.plant, seed=state.seed, catalogue=self.catalogue, level=self.level)
+        board = Board(state.plant, seed=state.seed, catalogue=self.catalogue, level=self.level, firmware=self.firmware)
         board.restore(state)
         return board
 

@@ -88,6 +88,13 @@ def test_copies_continue_independently(run: list[BoardState]) -> None:
         assert copy.plant == run[0].plant != board.plant
 
 
+def test_a_copy_runs_the_same_build_of_the_firmware() -> None:
+    with Board() as packaged:
+        build = packaged.firmware._replace(file="another build")
+    with Board(firmware=build) as board, board.copy() as copy:
+        assert copy.firmware is build
+
+
 def test_injected_faults_belong_to_the_state(run: list[BoardState]) -> None:
     with Board() as board, moving() as original:
         original.state()
