@@ -20,10 +20,9 @@ from typing import Any, Final
 from rclpy.serialization import serialize_message
 from servo_bridge.runs.recorder import RunRecorder
 from servo_msgs_py.convert import joint_state, snapshot_message
-from servo_msgs_py.run_file.definitions import type_of
 from servo_msgs_py.run_file.reader import RunReader
 from servo_msgs_py.run_file.series import Limits
-from servo_msgs_py.run_file.topic import Topic
+from servo_msgs_py.run_file.topic import Topic, type_of
 from std_msgs.msg import Float64
 
 RATE: Final = 200  # samples [Hz]

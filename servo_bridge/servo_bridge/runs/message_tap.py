@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from servo_msgs_py.run_file.topic import Topic
+from rclpy.qos import DurabilityPolicy
+from servo_msgs_py.run_file.topic import Topic, type_of
 
 Receiver = Callable[[Topic, bytes, int], None]
 """Receives topic, serialised message and time since the epoch [ns]."""
@@ -35,7 +35,9 @@ class MessageTap:
         kind : type
             Class of its messages.
         """
-        topic = topic_of(entity.topic_name, kind, entity.qos_profile)
+        qos = entity.qos_profile
+        latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        topic = Topic(entity.topic_name, type_of(kind), qos.depth, latched)
 
         def seen(data: bytes) -> None:
             if topic.latched:
@@ -44,11 +46,3 @@ class MessageTap:
                 self.receiver(topic, data, time.time_ns())
 
         return seen
-
-
-def topic_of(name: str, kind: type, qos: QoSProfile) -> Topic:
-    """Topic of a recording by the class of its messages."""
-    package, group, *_ = kind.__module__.split(".")
-    return Topic(
-        name, f"{package}/{group}/{kind.__name__}", qos.depth, qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    )

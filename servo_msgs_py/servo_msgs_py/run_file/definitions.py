@@ -10,6 +10,8 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from servo_msgs_py.run_file.topic import type_of
+
 _PADDING_MAX: Final = 32
 """Largest surplus of an estimated size [bytes]: 4 for every empty sequence of a message."""
 
@@ -70,12 +72,6 @@ def without_padding(data: bytes, type_name: str) -> bytes:
 def encoded(message: Any) -> bytes:
     """Serialised message (CDR with its header) of an object of a ROS class."""
     return bytes(_store().serialize_cdr(_own(message), type_of(type(message))))
-
-
-def type_of(message: type[Any]) -> str:
-    """Name of the type of a ROS class, such as ``std_msgs/msg/String``."""
-    package, kind, *_ = message.__module__.split(".")
-    return f"{package}/{kind}/{message.__name__}"
 
 
 def _own(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 _INFINITE: Final = "sec: 9223372036\n    nsec: 854775807"
 
@@ -24,3 +24,9 @@ class Topic(NamedTuple):
             f"  deadline:\n    {_INFINITE}\n  lifespan:\n    {_INFINITE}\n  liveliness: automatic\n"
             f"  liveliness_lease_duration:\n    {_INFINITE}\n  avoid_ros_namespace_conventions: false\n"
         )
+
+
+def type_of(message: type[Any]) -> str:
+    """Name of the type of a ROS class, such as ``std_msgs/msg/String``."""
+    package, kind, *_ = message.__module__.split(".")
+    return f"{package}/{kind}/{message.__name__}"

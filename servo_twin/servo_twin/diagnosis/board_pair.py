@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -46,7 +47,7 @@ _TIME_MAX: Final = 8.0  # from reset to closed-loop control [s]
 _Self = TypeVar("_Self", bound="SampledBoard")
 
 
-class SampledBoard:
+class SampledBoard(ABC):
     """A virtual board in the place of the real one, without a serial line; a subclass gets its samples and commands.
 
     Parameters
@@ -116,13 +117,13 @@ class SampledBoard:
         row += divmod(self.real.tick * PERIOD_NS, 1_000_000_000)
         return self.on_sample(row)
 
+    @abstractmethod
     def on_command(self, command: AppliedCommand) -> None:
         """Take a command that took effect."""
-        raise NotImplementedError
 
+    @abstractmethod
     def on_sample(self, row: Sequence[float]) -> list[Pair]:
         """Take a sample with the columns `COLUMNS`, SI."""
-        raise NotImplementedError
 
     def ready(self) -> bool:
         """Whether both axes are in closed-loop control."""

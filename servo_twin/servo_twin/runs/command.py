@@ -1,4 +1,4 @@
-"""``servo-twin``: replay, compare and export recorded runs, without ROS and in less than their time."""
+"""``servo-twin``: replay and compare recorded runs, without ROS and in less than their time."""
 
 from __future__ import annotations
 
@@ -49,7 +49,6 @@ def parser() -> argparse.ArgumentParser:
         "Exit status: 0 identical, 1 divergence, 2 wrong input.",
     )
     replayer.add_argument("run", type=Path, metavar="RUN", help=".mcap or .db3 file, or folder of a bag")
-    replayer.add_argument("--namespace", default="", help="of the bridge in the recording (default: /servo)")
     replayer.add_argument("--plant", type=Path, metavar="FILE", help="what if: another plant, changes of plant.toml")
     replayer.add_argument("--config", type=Path, metavar="FILE", help="what if: another configuration, a servo.toml")
     replayer.add_argument(
@@ -60,19 +59,7 @@ def parser() -> argparse.ArgumentParser:
     )
     replayer.add_argument("--seed", type=int, help="seed of the sensor noise (default: recorded, or 1)")
     add_level_option(replayer, "the twin is", FAST_LEVEL)
-    replayer.add_argument(
-        "--thresholds", type=Path, metavar="FILE", help="noise of a healthy pair, from `servo_twin calibrate`"
-    )
-    replayer.add_argument("--json", action="store_true", help="print the result as JSON")
-    replayer.add_argument(
-        "-o",
-        "--output",
-        type=argument.output_file,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help=".mcap, .rrd or .json",
-    )
+    _add_common_options(replayer, ".mcap, .rrd or .json")
     replayer.set_defaults(run_command=_replay)
     comparer = verbs.add_parser(
         "compare",
@@ -89,20 +76,20 @@ def parser() -> argparse.ArgumentParser:
         help=f"align at the best {FIT} of the speeds (default), the {RESET} of the board, the {START} of the runs, or "
         "the first change of a variable: applied_count for the first command",
     )
-    comparer.add_argument("--namespace", default="", help="of the bridge in the recordings (default: /servo)")
-    comparer.add_argument("--thresholds", type=Path, metavar="FILE", help="noise, from `servo_twin calibrate`")
-    comparer.add_argument("--json", action="store_true", help="print the differences as JSON")
-    comparer.add_argument(
-        "-o",
-        "--output",
-        type=argument.output_file,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help=".png, .svg, .pdf or .rrd",
-    )
+    _add_common_options(comparer, ".png, .svg, .pdf or .rrd")
     comparer.set_defaults(run_command=_compare)
     return result
+
+
+def _add_common_options(verb: argparse.ArgumentParser, outputs: str) -> None:
+    verb.add_argument("--namespace", default="", help="of the bridge in a recording (default: /servo)")
+    verb.add_argument(
+        "--thresholds", type=Path, metavar="FILE", help="noise of a healthy pair, from `servo_twin calibrate`"
+    )
+    verb.add_argument("--json", action="store_true", help="print the result as JSON")
+    verb.add_argument(
+        "-o", "--output", type=argument.output_file, action="append", default=[], metavar="FILE", help=outputs
+    )
 
 
 def _check_suffixes(paths: Sequence[Path], known: Sequence[str]) -> None:

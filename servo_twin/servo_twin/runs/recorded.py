@@ -12,6 +12,7 @@ from servo_msgs_py.blocks_message import blocks_from_message
 from servo_msgs_py.run_file.definitions import decoded
 from servo_msgs_py.run_file.reader import Record, RunReader
 from servo_msgs_py.run_file.run_info import RunInfo, RunInfoError, run_info, string_of
+from servo_msgs_py.run_file.topic import type_of
 
 from servo_msgs_py import topics
 from servo_twin.lockstep.blocks import Blocks
@@ -132,7 +133,7 @@ def message_of(record: Record, name: str) -> Any:
     return decoded(record.data, record.type)
 
 
-_TYPES: Final = {topic.name: f"std_msgs/msg/{topic.message.__name__}" for topic in BOARD_TOPICS}
+_TYPES: Final = {topic.name: type_of(topic.message) for topic in BOARD_TOPICS}
 
 
 def _namespace(path: Path, seen: Counter[str], wanted: str) -> str:

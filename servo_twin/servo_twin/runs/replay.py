@@ -30,7 +30,7 @@ from servo_twin.servo_config import ServoConfig, servo_table
 
 _BURSTS: Final = (topics.RECORDER, topics.RECORDING)
 _REPLAYED: Final = {topic.name: topic for topic in BOARD_TOPICS if topic.name not in _BURSTS}
-_SETTINGS: Final = TwinSettings(report_timeout=1.0, from_reset=600.0)  # nobody waits for the twin
+_SETTINGS: Final = TwinSettings(report_timeout=1.0, from_reset=600.0)  # no live display is delayed
 _GAP: Final = 0.1  # gap of the telemetry that is reported [s]
 _JUMP: Final = 1.0  # jump of the clock of the recording against the ticks of the board that is reported [s]
 
@@ -78,7 +78,7 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
     catalogue = Catalogue.load()
     if info is not None and info.catalogue and int(info.catalogue, 16) != catalogue.hash:
         notes.append(
-            f"recorded with another table of variables ({info.catalogue} instead of {catalogue.hash:08x}): "
+            f"recorded with another table of variables ({info.catalogue} instead of {catalogue.hash:08X}): "
             "another version of the firmware"
         )
     plant = PlantConfig.load()

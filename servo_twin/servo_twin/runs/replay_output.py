@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from servo_msgs_py.convert import joint_state, snapshot_message
 from servo_msgs_py.joints import DEFAULT_JOINTS
-from servo_msgs_py.run_file.definitions import encoded, type_of
-from servo_msgs_py.run_file.topic import Topic
+from servo_msgs_py.run_file.definitions import encoded
+from servo_msgs_py.run_file.topic import Topic, type_of
 from servo_msgs_py.run_file.writer import RunWriter
 from servo_msgs_py.units import PERIOD_NS
 
@@ -70,21 +70,22 @@ class RrdOutput:
     def __init__(self, path: Path) -> None:
         self._recording = Recording(path)
         self._pairs: list[Pair] = []
+        self._constants: Sequence[float] = ()
 
     def watch(self, pair: Pair, torque_constants: Sequence[float]) -> None:
         """Take a pair."""
         self._pairs.append(pair)
-        if len(self._pairs) == _BLOCK:
-            self._write(torque_constants)
         self._constants = torque_constants
+        if len(self._pairs) == _BLOCK:
+            self._write()
 
     def close(self) -> None:
         """Complete the file."""
         if self._pairs:
-            self._write(self._constants)
+            self._write()
         self._recording.close()
 
-    def _write(self, torque_constants: Sequence[float]) -> None:
+    def _write(self) -> None:
         pairs, self._pairs = self._pairs, []
         time = np.array([pair.tick for pair in pairs]) * (PERIOD_NS * 1e-9)
         for axis, _ in scene.axes():
@@ -99,7 +100,7 @@ class RrdOutput:
                         curve = np.array([each.get(name, np.nan) for each in values])
                         self._recording.scalars(scene.series_entity(axis, quantity.name, source), time, curve)
         if all(name in pairs[0].real for name in COMPARED):
-            found = [residual(pair.tick, pair.real, pair.twin, torque_constants, DEFAULT_JOINTS) for pair in pairs]
+            found = [residual(pair.tick, pair.real, pair.twin, self._constants, DEFAULT_JOINTS) for pair in pairs]
             for field in scene.RESIDUALS:
                 table = np.array([getattr(one, field) for one in found])
                 for axis, _ in scene.axes():

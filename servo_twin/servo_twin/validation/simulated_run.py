@@ -10,9 +10,9 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.blocks_message import blocks_message
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.convert import AppliedCommand, applied_message, parameters_message, snapshot_message
-from servo_msgs_py.run_file.definitions import encoded, type_of
+from servo_msgs_py.run_file.definitions import encoded
 from servo_msgs_py.run_file.run_info import RunInfo, VirtualBoard
-from servo_msgs_py.run_file.topic import Topic
+from servo_msgs_py.run_file.topic import Topic, type_of
 from servo_msgs_py.run_file.writer import RunWriter
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import String
@@ -69,7 +69,7 @@ class SimulatedRun(SampledBoard):
         """Added to the clock of the recording [ns]."""
         if info:
             virtual = VirtualBoard(level=board.level, seed=seed, plant=board.plant.text())
-            document = RunInfo(catalogue=f"{board.catalogue.hash:08x}", tick_ns=PERIOD_NS, virtual_board=virtual)
+            document = RunInfo(catalogue=f"{board.catalogue.hash:08X}", tick_ns=PERIOD_NS, virtual_board=virtual)
             self._write(topics.RUN_INFO, String(data=document.text()), latched=True)
         present = {v.name: board.read_words(v.name) for v in parameters(board.catalogue)}
         self._write(topics.PARAMETERS, parameters_message(present, board.catalogue), latched=True)
