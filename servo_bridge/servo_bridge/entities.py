@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Final
 
+from rclpy.duration import Duration
 from rclpy.node import Node
+
+_ACKNOWLEDGED: Final = 1.0
+"""Longest wait for the readers of the last messages [s]; a hung reader acknowledges nothing."""
 
 
 class Entities:
@@ -22,8 +27,14 @@ class Entities:
         self._before = frozenset(_all(node))
 
     def destroy(self) -> None:
-        """Destroy the entities; in the thread of the executor, also from a callback."""
+        """Destroy the entities after their last messages have arrived; in the executor's thread, also in a callback.
+
+        A publisher that is destroyed does not repeat what the transport lost: its last state would be missing.
+        """
         node = self._node
+        deadline = time.monotonic() + _ACKNOWLEDGED
+        for publisher in self._new(node.publishers):
+            publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
         for entities, destroy in (
             (node.publishers, node.destroy_publisher),
             (node.subscriptions, node.destroy_subscription),
