@@ -441,6 +441,17 @@ def test_a_file_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
         Recording(tmp_path / "file" / "run.rrd")
 
 
+def test_a_file_is_written_by_one_program_at_a_time(file: Path) -> None:
+    link = file.with_name("link.rrd")
+    link.symlink_to(file)
+    first = Recording(file)
+    for same in (file, link):
+        with pytest.raises(RecordingError, match="is used by another running program; end it, or choose another name"):
+            Recording(same)
+    first.close()
+    Recording(file).close()
+
+
 def test_a_missing_rerun_is_reported_with_its_remedy(monkeypatch: pytest.MonkeyPatch, file: Path) -> None:
     original = builtins.__import__
 

@@ -5,6 +5,7 @@ Only this module and `blueprint` use rerun. It is imported at the first use, so 
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.runtime.claim import ClaimError, claimed
 
 from servo_twin.view import scene
 from servo_twin.view.blueprint import blueprint
@@ -61,14 +63,14 @@ class Recording:
     Parameters
     ----------
     path : Path, optional
-        File to write; an existing file is replaced.
+        File to write, used alone until `close`; an existing file is replaced.
     grpc_port : int, optional
         Port of the data server on the loopback interface.
 
     Raises
     ------
     RecordingError
-        If rerun is not installed or the file cannot be written.
+        If rerun is not installed, the file cannot be written, or another program writes it.
     """
 
     def __init__(self, path: Path | None = None, grpc_port: int | None = None) -> None:
@@ -79,17 +81,23 @@ class Recording:
         self.uri = ""
         self._path = path or "the recording"
         sinks: list[Any] = []
-        if path is not None:
-            _check_writable(path)
-            sinks.append(rr.FileSink(str(path)))
-        if grpc_port is not None:
-            server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=grpc_port, server_memory_limit=_SERVER_MEMORY)
-            self.uri = server.uri
-            sinks.append(server)
-        try:
-            self._stream.set_sinks(*sinks, default_blueprint=blueprint())
-        except RuntimeError as error:
-            raise RecordingError(f"{path} cannot be written: {error}") from None
+        with contextlib.ExitStack() as claim:
+            if path is not None:
+                try:
+                    claim.enter_context(claimed(Path(os.path.realpath(path))))
+                except ClaimError as error:
+                    raise RecordingError(str(error)) from None
+                _check_writable(path)
+                sinks.append(rr.FileSink(str(path)))
+            if grpc_port is not None:
+                server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=grpc_port, server_memory_limit=_SERVER_MEMORY)
+                self.uri = server.uri
+                sinks.append(server)
+            try:
+                self._stream.set_sinks(*sinks, default_blueprint=blueprint())
+            except RuntimeError as error:
+                raise RecordingError(f"{path} cannot be written: {error}") from None
+            self._claim = claim.pop_all()
         self._styles()
         self._shafts()
 
@@ -215,6 +223,7 @@ class Recording:
             raise RecordingError(f"{self._path} is not complete: {str(error).splitlines()[0]}") from None
         finally:
             self._stream.disconnect()
+            self._claim.close()
 
 
 def _check_writable(path: Path) -> None:
