@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from servo_bridge.description import description_from_file
 from servo_bridge.trajectory.files import read_waypoints
+from servo_measurement.access import MeasurementError
+from servo_measurement.log import MeasurementLog
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.text_file import TextFileError, decoded, parse_json, parse_toml, read_toml, toml_text
 from servo_tuning.reading import SERVO_TOML, load
@@ -49,6 +53,23 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
         "/**:\n  ros__parameters:\n    joints: [a, b]\n",
     ),
 }
+OWN_FILES = {
+    "servo_bridge/servo_bridge/tuning/process.py",  # pipe of the parent
+    "servo_bridge/servo_bridge/wire/serial_port.py",  # sysfs
+    "servo_msgs_py/servo_msgs_py/codegen.py",
+    "servo_msgs_py/servo_msgs_py/fault_rules.py",  # sources of the firmware, as in the build
+    "servo_twin/servo_twin/_board_pointers.py",
+    "servo_twin/servo_twin/_build_native.py",
+    "servo_twin/servo_twin/_core_time.py",
+    "servo_twin/servo_twin/board.py",  # compiled module
+    "servo_twin/servo_twin/fmu.py",
+    "servo_twin/servo_twin/identification/command.py",  # just written
+    "servo_twin/servo_twin/processes.py",  # whole log of a child, for tests
+    "servo_twin/servo_twin/validation/experiments/command.py",  # just written
+    "servo_twin/servo_twin/validation/sweep/command.py",  # modules of the package
+}
+"""Modules that read files of the project, the build or their own work."""
+
 BAD = {
     "utf-16": ("utf-16", "UTF-16 .*save it as UTF-8"),
     "utf-16 without mark": ("utf-16-le", "UTF-16 .*save it as UTF-8"),
@@ -78,13 +99,55 @@ def test_other_encodings_are_refused_with_a_remedy(name: str, encoding: str, tmp
         reader(path)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", [*FILES, "measurement.npz"])
 def test_file_of_any_size_is_refused_with_the_bound(name: str, tmp_path: Path) -> None:
+    reader = FILES[name][0] if name in FILES else MeasurementLog.load
     path = tmp_path / name
     with path.open("wb") as file:
         file.truncate(10**12)  # without the memory for it
     with pytest.raises(Exception, match=r"it has more than [0-9]+ bytes, the largest size"):
-        FILES[name][0](path)
+        reader(path)
+
+
+def test_measurement_of_any_unpacked_size_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "m.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("log.npy", bytes(200_000_001))
+    with pytest.raises(MeasurementError, match=r"m\.npz has more than 200000000 bytes unpacked"):
+        MeasurementLog.load(tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize("folder", ["servo_bridge/servo_bridge", "servo_twin/servo_twin", "servo_msgs_py"])
+def test_every_read_of_a_file_has_a_bound(folder: str) -> None:
+    """A file of a user may be a device, a pipe or a file of any size."""
+    found = {
+        path.relative_to(ROOT).as_posix(): reads
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if "test" not in path.parts and (reads := unbounded_reads(path.read_text(encoding="utf-8")))
+    }
+    assert set(found) <= OWN_FILES, {name: reads for name, reads in found.items() if name not in OWN_FILES}
+
+
+def unbounded_reads(text: str) -> list[str]:
+    """Calls that read a whole file or a line of any length, with their line numbers."""
+    return [
+        f"{node.lineno}: {ast.unparse(node)}"
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _is_unbounded(node, node.func)
+    ]
+
+
+def _is_unbounded(call: ast.Call, function: ast.Attribute) -> bool:
+    name = ast.unparse(function)
+    if name in ("np.load", "json.load", "tomllib.load", "yaml.safe_load", "np.fromfile", "np.genfromtxt"):
+        return not any(bounded in ast.unparse(call) for bounded in ("read_bytes(path,", "read_text("))
+    if function.attr in ("readline", "readlines"):
+        return not call.args
+    return function.attr in ("read_text", "read_bytes")
+
+
+def test_unbounded_reads_are_found() -> None:
+    text = "p.read_text()\nnp.load(p)\nf.readline()\nf.readline(9)\nread_text(p)\nyaml.safe_load(read_text(p))\n"
+    assert [read.split(":")[0] for read in unbounded_reads(text)] == ["1", "2", "3"]
 
 
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\r\0")), st.sampled_from(["\n", "\r\n", "\r"]))

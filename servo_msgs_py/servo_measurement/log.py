@@ -11,17 +11,22 @@ import zipfile
 import zlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.text_file import TextFileError, read_bytes
 from servo_msgs_py.trace import Trace
 
 from servo_measurement.access import BoardAccess, Capture, MeasurementError
 
 FORMAT: Final = 1
+
+_BYTES_MAX: Final = 200_000_000
+"""Largest file, packed and unpacked [bytes]; the recordings of a measurement need about a quarter."""
 
 _MALFORMED: Final = (
     KeyError,
@@ -93,12 +98,14 @@ class MeasurementLog:
         Raises
         ------
         MeasurementError
-            If its contents are malformed.
+            If its contents are malformed, or larger than a measurement.
         OSError
             If it cannot be read.
         """
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            with np.load(BytesIO(read_bytes(path, _BYTES_MAX)), allow_pickle=False) as archive:
+                if sum(member.file_size for member in archive.zip.infolist()) > _BYTES_MAX:
+                    raise MeasurementError(f"{path} has more than {_BYTES_MAX} bytes unpacked; choose a smaller file")
                 text: Mapping[str, Any] = json.loads(str(archive["log"]))
                 if text["format"] != FORMAT:
                     raise MeasurementError(f"{path} has the format {text['format']}, not {FORMAT}: measure again")
@@ -109,6 +116,8 @@ class MeasurementLog:
                     recordings.append(Trace(float(head["step"]), columns))
                 calls, notes = [_of_json(call) for call in text["calls"]], dict(text["notes"])
                 return cls(int(text["axis"]), calls, recordings, notes)
+        except TextFileError as error:
+            raise MeasurementError(f"{path}: {error}") from None
         except _MALFORMED:
             raise MeasurementError(
                 f"{path} is not a complete measurement of identify: use its measurement.npz, or measure again"

@@ -20,6 +20,7 @@ from servo_msgs_py.runtime.notify import SOCKET
 _POLL: Final = 0.05  # [s]
 _TERM_TIMEOUT: Final = 8.0  # from SIGTERM to SIGKILL [s]
 _DATAGRAM_MAX: Final = 4096  # [bytes]
+_LAST_OUTPUT: Final = 1 << 14  # [bytes]
 
 
 class ChildError(RuntimeError):
@@ -114,7 +115,10 @@ class Child:
 
     def last_output(self, lines: int = 12) -> str:
         """Last lines of the output, indented."""
-        return "\n".join("    " + line for line in self.text().splitlines()[-lines:])
+        with self.log.open("rb") as file:
+            file.seek(max(os.fstat(file.fileno()).st_size - _LAST_OUTPUT, 0))
+            text = file.read(_LAST_OUTPUT).decode("utf-8", "replace")
+        return "\n".join("    " + line for line in text.splitlines()[-lines:])
 
     def check(self) -> None:
         """Raise `ChildError` if the process has ended."""

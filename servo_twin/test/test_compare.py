@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,6 +130,11 @@ def test_what_cannot_be_compared_is_refused(
     (tmp_path / "text.csv").write_text("a,b\n1,2\n")
     assert main(["compare", first, str(tmp_path / "text.csv")]) == 2
     assert "has no column time in its first line" in capsys.readouterr().err
+    table = tmp_path / "endless.csv"
+    table.write_text("time,axis1.speed\n0,1\n")
+    os.truncate(table, 10**12)  # a line without end
+    assert main(["compare", first, str(table)]) == 2
+    assert "give a file of servo-tool record" in capsys.readouterr().err
 
 
 @dataclass

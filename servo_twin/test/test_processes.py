@@ -74,7 +74,8 @@ def test_children_are_stopped_in_order_and_killed_ones_reported(children: list[C
 
 
 def test_child_that_ends_is_reported_with_its_last_output(children: list[Child], tmp_path: Path) -> None:
-    child = start(children, tmp_path, "print('the reason'); raise SystemExit(3)")
+    long = "import os; os.lseek(1, os.truncate(1, 10**12) or 0, 2)"  # without the memory for it
+    child = start(children, tmp_path, f"{long}; print('the reason'); raise SystemExit(3)")
     with pytest.raises(ChildError, match=r"(?s)child0 has ended with status 3.*the reason"):
         wait_until(lambda: False, [child], 10.0)
 

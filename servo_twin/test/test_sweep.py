@@ -6,6 +6,7 @@ import csv
 import importlib
 import json
 import math
+import os
 import shlex
 import signal
 import subprocess
@@ -238,6 +239,7 @@ def test_results_are_read_in_order(tmp_path: Path) -> None:
     with Store(tmp_path, {"a": 1}, 5, resume=False) as store:
         for number in (3, 0, 4):
             store.add(trial(number))
+    os.truncate(tmp_path / RESULTS, 10**12)  # an incomplete line of any length
     with Store(tmp_path, {"a": 1}, 5, resume=True) as store:
         assert store.missing == [1, 2]
         store.add(trial(1))

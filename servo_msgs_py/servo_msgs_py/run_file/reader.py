@@ -24,6 +24,7 @@ from rosbags.rosbag2 import ReaderError
 from zstandard import ZstdError
 
 from servo_msgs_py.run_file.series import segment, segments, split
+from servo_msgs_py.text_file import read_text
 from servo_msgs_py.topics import RUN_LOST
 
 _METADATA: Final = "metadata.yaml"
@@ -141,7 +142,7 @@ class RunReader:
     def _metadata(self, folder: Path) -> Mapping[str, Any]:
         path = folder / _METADATA
         try:
-            about = yaml.safe_load(path.read_bytes())["rosbag2_bagfile_information"]
+            about = yaml.safe_load(read_text(path))["rosbag2_bagfile_information"]
             return about if isinstance(about, Mapping) else {}
         except FileNotFoundError:
             return {}

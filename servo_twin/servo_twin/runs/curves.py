@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -34,7 +35,7 @@ BLOCK: Final = 1 << 14
 TICK: Final = "tick"
 _FLOAT64: Final = "std_msgs/msg/Float64MultiArray"
 _CDR_LITTLE: Final = b"\x00\x01"
-_HEAD_BYTES: Final = 1 << 16  # of the first line of a CSV file
+_LINE_BYTES: Final = 1 << 16  # of the longest line of a CSV file
 _Array = NDArray[np.float64]
 
 
@@ -168,14 +169,15 @@ class _CsvFile:
 
     def blocks(self, names: Sequence[str] | None = None) -> Iterator[Trace]:
         with self.path.open("rb") as file:
-            heads = [head.partition(" [")[0] for head in text_of(file.readline(_HEAD_BYTES)).strip().split(",")]
+            heads = [head.partition(" [")[0] for head in text_of(file.readline(_LINE_BYTES)).strip().split(",")]
             if TIME not in heads:
                 raise RunError(f"{self.path} has no column {TIME} in its first line; give a file of servo-tool record")
+            lines = iter(partial(file.readline, _LINE_BYTES), b"")
             while True:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", UserWarning)  # the end of the file
                     try:
-                        table = np.loadtxt(file, delimiter=",", max_rows=BLOCK, ndmin=2)
+                        table = np.loadtxt(lines, delimiter=",", max_rows=BLOCK, ndmin=2)
                     except ValueError as error:
                         raise RunError(f"{self.path}: {error}; give a file of servo-tool record") from None
                 if not table.size:

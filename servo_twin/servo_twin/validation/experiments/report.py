@@ -12,6 +12,7 @@ from typing import Any, Final
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.table_text import aligned
+from servo_msgs_py.text_file import parse_json, read_text
 
 from servo_twin.validation.experiments.outcome import Outcome, Panel
 
@@ -61,7 +62,7 @@ def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
     path = folder / SUMMARY
     replaced = {outcome.name for outcome in outcomes}
     try:
-        old = json.loads(path.read_text(encoding="utf-8"))
+        old = parse_json(read_text(path))
         kept = [row for row in old if "reference" in row and row["experiment"] not in replaced]
     except (OSError, ValueError, KeyError, TypeError):
         kept = []  # missing or another format

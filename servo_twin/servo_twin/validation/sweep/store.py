@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final
@@ -19,6 +20,8 @@ from servo_twin.validation.sweep.trial import Trial
 
 RESULTS: Final = "trials.jsonl"
 _ABSENT: Final = -1
+_LINE_BYTES: Final = 1 << 20
+"""Longest line that is read; one of a trial is shorter by far."""
 
 
 class StoreError(ValueError):
@@ -60,12 +63,12 @@ class Store:
             self._read(text)
 
     def _read(self, head: str) -> None:
-        first = self._file.readline()
-        if first != head.encode() + b"\n":
+        expected = head.encode() + b"\n"
+        if self._file.readline(len(expected)) != expected:
             self._file.close()
             raise StoreError(f"{self.path} belongs to another sweep: use the same options or another --out")
         offset = self._file.tell()
-        for line in self._file:
+        for line in iter(partial(self._file.readline, _LINE_BYTES), b""):
             if not line.endswith(b"\n"):
                 break
             self._offsets[json.loads(line)["number"]] = offset
@@ -105,4 +108,4 @@ class Store:
         """Results in the order of their numbers."""
         for offset in self._offsets[self._offsets != _ABSENT]:
             self._file.seek(int(offset))
-            yield Trial.of_dict(json.loads(self._file.readline()))
+            yield Trial.of_dict(json.loads(self._file.readline(_LINE_BYTES)))
