@@ -1,4 +1,4 @@
-"""Every output of a program is checked before the work begins: before ports, nodes and motion."""
+"""Every output and number of a program is checked before the work begins: before ports, nodes and motion."""
 
 from __future__ import annotations
 
@@ -38,6 +38,13 @@ def test_every_option_with_a_path_is_checked_or_an_input(module: str, monkeypatc
         if action.dest in ("out", "output", "json", "plot", "record", "rrd", "save") and action.nargs != 0:
             assert action.type in CHECKED, action
             assert not action.default or isinstance(action.default, str), "argparse checks defaults of type str"
+
+
+@pytest.mark.parametrize("module", PROGRAMS)
+def test_every_number_has_a_range(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``nan`` is a float."""
+    found = [action for parser in parsers(main_parser(module, monkeypatch)) for action in parser._actions]
+    assert [action.option_strings for action in found if action.type is float] == []
 
 
 @pytest.mark.parametrize(

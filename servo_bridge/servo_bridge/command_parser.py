@@ -52,7 +52,9 @@ def command_parser() -> argparse.ArgumentParser:
     """Command line of ``servo-command``."""
     parser = argparse.ArgumentParser(prog="servo-command", description="Send one command to the servo over ROS.")
     parser.add_argument("--namespace", default="/servo", help="namespace of the bridge (default: %(default)s)")
-    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="time to wait (default: %(default)s)")
+    parser.add_argument(
+        "--wait", type=argument.not_negative, default=10.0, metavar="S", help="time to wait (default: %(default)s)"
+    )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="COMMAND")
     for verb, text in (
         ("enable", "enable both axes (rotor search, then position hold)"),

@@ -372,22 +372,23 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--twin", default="twin", metavar="NAMESPACE", help="namespace of the twin")
     parser.add_argument("--require-twin", action="store_true", help="fail if no twin is running")
     parser.add_argument(
-        "--tolerance", type=float, default=2.0, metavar="COUNTS", help="tolerance of a target (default: 2)"
+        "--tolerance", type=argument.positive, default=2.0, metavar="COUNTS", help="tolerance of a target (default: 2)"
     )
     parser.add_argument(
-        "--timeout", type=float, default=10.0, metavar="S", help="timeout of a move in board time (default: 10)"
+        "--timeout",
+        type=argument.positive,
+        default=10.0,
+        metavar="S",
+        help="timeout of a move in board time (default: 10)",
     )
     parser.add_argument(
         "--wait",
-        type=float,
+        type=argument.not_negative,
         default=20.0,
         metavar="S",
         help="longest time without progress while connecting to servo and twin (default: 20)",
     )
-    arguments = parser.parse_args(argv)
-    if arguments.tolerance <= 0.0 or arguments.timeout <= 0.0 or arguments.wait < 0.0:
-        parser.error("tolerance and timeout must be positive, wait must not be negative")
-    return arguments
+    return parser.parse_args(argv)
 
 
 def _info(line: str) -> None:

@@ -44,17 +44,22 @@ _MACHINE: Final = ("pins.", "stop.disable", "stop.quick_stop", "stop.shorted", "
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     command.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
-    command.add_argument("--voltage", type=float, required=True, help="voltage of the bus [V]")
-    command.add_argument("--current", type=float, required=True, help="permitted motor current [A, peak]")
+    command.add_argument("--voltage", type=argument.positive, required=True, help="voltage of the bus [V]")
+    command.add_argument("--current", type=argument.positive, required=True, help="permitted motor current [A, peak]")
     defaults = {field.name: field.default for field in fields(Limits)}
     for name, text in (
         ("speed", "largest speed [rad/s]"),
         ("turns", "largest rotation of the shaft in each direction [turns]"),
         ("energy", "permitted braking energy returned to the bus [J]"),
     ):
-        command.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
+        command.add_argument(
+            f"--{name}-max", type=argument.positive, default=defaults[name], help=f"{text} (default: %(default)s)"
+        )
     command.add_argument(
-        "--r-on", type=float, default=0.0, help="on resistance of a switch [ohm]; if omitted it is part of r_s"
+        "--r-on",
+        type=argument.not_negative,
+        default=0.0,
+        help="on resistance of a switch [ohm]; if omitted it is part of r_s",
     )
     command.add_argument(
         "--config",

@@ -19,6 +19,7 @@ from servo_bridge.tool_commands import warn
 from servo_bridge.tool_progress import progress_bar, show
 from servo_bridge.tool_values import UsageError
 from servo_bridge.wire.session import Session
+from servo_msgs_py import argument
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the burst options of ``record``."""
     burst_request.add_options(command)
-    command.add_argument("--timeout", type=float, metavar="S", help="stop a burst without a trigger after this time")
+    command.add_argument(
+        "--timeout", type=argument.positive, metavar="S", help="stop a burst without a trigger after this time"
+    )
 
 
 def record(context: Context) -> int:

@@ -42,7 +42,9 @@ _SHOW: Final = 0.2
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of ``scope`` to those of a burst."""
     burst_request.add_options(command)
-    command.add_argument("--rate", type=float, metavar="HZ", help="points of a burst per second (default: all)")
+    command.add_argument(
+        "--rate", type=argument.positive, metavar="HZ", help="points of a burst per second (default: all)"
+    )
     command.add_argument(
         "--telemetry",
         nargs="+",

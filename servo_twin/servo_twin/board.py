@@ -176,7 +176,7 @@ class FlashState(NamedTuple):
 def _native_config(ffi: Any, plant: PlantConfig, core: CoreSpeed, seed: int, baud: float) -> Any:
     config = ffi.new("board_config_t *")
     plant.drawn(seed).fill(config)
-    config.core.cycles_per_instruction, config.core.entry_cycles = core.cycles_per_instruction, core.entry_cycles
+    config.core.cycles_per_instruction, config.core.entry_cycles = core.cycles_per_instruction, int(core.entry_cycles)
     config.baud, config.seed = baud, seed
     return config
 

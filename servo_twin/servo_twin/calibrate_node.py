@@ -12,7 +12,7 @@ from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.node_shell import run
 from servo_msgs_py.runtime.parameters import ParameterError, spec
 
-from servo_twin.diagnosis.calibration import FALSE_ALARM_HOURS, Calibrator
+from servo_twin.diagnosis.calibration import DURATION, FALSE_ALARM_HOURS, Calibrator
 from servo_twin.diagnosis.thresholds import ThresholdsError
 from servo_twin.lockstep.twin import Pair
 from servo_twin.node import PARAMETERS as TWIN_PARAMETERS
@@ -20,7 +20,9 @@ from servo_twin.node import ServoTwin
 
 PARAMETERS: Final = {
     **{name: spec for name, spec in TWIN_PARAMETERS.items() if name not in ("thresholds", "adapt")},
-    "duration": spec(300.0, "board time of the calibration [s]; move both axes as in use", 60.0, 1e5),
+    "duration": spec(
+        300.0, "board time of the calibration [s]; move both axes as in use", DURATION.minimum, DURATION.maximum
+    ),
     "false_alarm_hours": spec(FALSE_ALARM_HOURS, "mean time between false alarms [h of motion]", 1.0, 1e5),
     "out": spec("thresholds.toml", "file to write, for the parameter thresholds of servo_twin"),
 }

@@ -8,9 +8,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from servo_msgs_py.text_file import TextFileError, read_toml
+from servo_msgs_py.quantity import ABOVE_0, Quantity
+from servo_msgs_py.text_file import read_toml
 
 DEFAULT_FILE: Final = Path(__file__).with_name("core.toml")
+
+_VALUES: Final[Mapping[str, Quantity]] = {
+    "cycles_per_instruction": Quantity(minimum=ABOVE_0, maximum=100.0),
+    "entry_cycles": Quantity(minimum=0.0, maximum=10_000.0, whole=True),
+}
 
 
 @dataclass(frozen=True)
@@ -27,12 +33,10 @@ class CoreSpeed:
     entry_cycles: int  # additional bus clocks per interrupt: vector fetch, saving and restoring of registers
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.cycles_per_instruction <= 100.0:
-            raise ValueError(
-                f"core: cycles_per_instruction {self.cycles_per_instruction} is not above 0 and at most 100"
-            )
-        if not 0 <= self.entry_cycles <= 10_000:
-            raise ValueError(f"core: entry_cycles {self.entry_cycles} is not within 0 .. 10000")
+        for name, valid in _VALUES.items():
+            value = getattr(self, name)
+            if problem := valid.problem(value):
+                raise ValueError(f"{name} = {value!r} is {problem}; write {valid.expected}")
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> CoreSpeed:
@@ -50,8 +54,8 @@ class CoreSpeed:
         """Create from a parsed table."""
         names = [field.name for field in fields(cls)]
         if sorted(table) != sorted(names):
-            raise ValueError(f"core: expected the values {names}, found {sorted(table)}")
-        return cls(float(table["cycles_per_instruction"]), int(table["entry_cycles"]))
+            raise ValueError(f"expected the values {names}, found {sorted(table)}")
+        return cls(**table)
 
 
 @lru_cache(maxsize=1)
@@ -62,5 +66,5 @@ def _packaged() -> CoreSpeed:
 def _read(path: Path) -> CoreSpeed:
     try:
         return CoreSpeed.parse(read_toml(path))
-    except TextFileError as error:
+    except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

@@ -84,7 +84,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--port", type=_port, help="serial port or pyserial URL of a real board (default: a virtual board)"
     )
-    result.add_argument("--baud", type=int, default=115200, help="line speed [bit/s] (default: %(default)s)")
+    result.add_argument("--baud", type=argument.count, default=115200, help="line speed [bit/s] (default: %(default)s)")
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board and of its twin")
     result.add_argument("--twin-plant", type=Path, help="plant file of the twin (default: --plant)")

@@ -359,7 +359,7 @@ def _parser() -> argparse.ArgumentParser:
         "--link", type=Path, help="symbolic link to the port, as a fixed name; LINK.json then says what the board is"
     )
     parser.add_argument(
-        "--baud", type=float, default=115200.0, help="speed of the line in bit/s (default: %(default)g)"
+        "--baud", type=argument.positive, default=115200.0, help="speed of the line in bit/s (default: %(default)g)"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the sensor noise")
     parser.add_argument("--plant", type=Path, help="TOML file with changes of the packaged plant.toml")

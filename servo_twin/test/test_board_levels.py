@@ -202,7 +202,7 @@ class TestCore:
             CoreSpeed.parse({"entry_cycles": 10})
         with pytest.raises(ValueError, match="cycles_per_instruction"):
             CoreSpeed(0.0, 30)
-        with pytest.raises(ValueError, match="entry_cycles -1"):
+        with pytest.raises(ValueError, match="entry_cycles = -1"):
             CoreSpeed(1.0, -1)
 
 

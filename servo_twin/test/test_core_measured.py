@@ -44,11 +44,38 @@ def test_invalid_measurements_are_refused(measured: dict[str, dict[str, float]],
         compare(measured, COUNTS)
 
 
-def test_only_the_one_number_of_the_file_changes() -> None:
+def test_only_the_one_number_of_the_file_changes(tmp_path: Path) -> None:
     text = "# why\ncycles_per_instruction = 1.5\nentry_cycles = 30  # more\n"
-    assert with_cycles(text, 2.0649) == text.replace("1.5", "2.06")
-    with pytest.raises(ValueError, match="once"):
-        with_cycles("entry_cycles = 30\n", 2.0)
+    core = tmp_path / "core.toml"
+    core.write_text(text)
+    assert with_cycles(core, 2.0649) == text.replace("1.5", "2.06")
+    core.write_text(text.replace("cycles_per_instruction", '"cycles_per_instruction"'))
+    with pytest.raises(ValueError, match=r"core\.toml: write cycles_per_instruction = NUMBER once"):
+        with_cycles(core, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "why"),
+    [
+        ("core", "a = b", "correct the TOML"),
+        ("core", "a = 1", "expected the values"),
+        ("core", 'cycles_per_instruction = "x"\nentry_cycles = 30', "cycles_per_instruction = 'x' is not a number"),
+        ("core", "cycles_per_instruction = 1.5\nentry_cycles = -1", "entry_cycles = -1 is too small; write a whole"),
+        ("measured", "a = b", "correct the TOML"),
+        ("measured", "off = 1", "off is no table of widths in us"),
+        ("measured", 'off.m1 = "x"', "off is no table of widths in us"),
+        ("measured", "off.m1 = 0", "off: m1 = 0 us is not within"),
+    ],
+)
+def test_an_invalid_file_is_refused_with_its_name(
+    option: str, text: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / f"{option}.toml"
+    file.write_text(text)
+    assert main(["core-speed", f"--{option}", str(file)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"servo-sim: {file}: ")
+    assert why in error
 
 
 def test_measured_widths_are_written_to_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

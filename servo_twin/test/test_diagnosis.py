@@ -371,6 +371,22 @@ def test_calibration_fails_with_a_board_in_fault(tmp_path: Path, capsys: pytest.
     assert "axis1 of the board is in FAULT" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("calibrate --time 0", "'0' is too small; write a number from 60 up to 100000 [s]"),
+        ("calibrate --time 1e12", "'1e12' is too large"),
+        ("calibrate --time nan", "'nan' is not a finite number"),
+        ("diagnose --time -1", "'-1' is too small; write a number above 0"),
+        ("diagnose --loss 1", "'1' is too large; write a number from 0 up to 0.9"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(words: str, why: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(words.split())
+    assert why in capsys.readouterr().err
+
+
 def test_calibration_fails_with_too_little_motion() -> None:
     with pytest.raises(ThresholdsError, match="s of motion are not enough"):
         HealthyRuns(PLANT, 1, 10.0, "ideal").run(0).thresholds()

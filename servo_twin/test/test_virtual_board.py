@@ -376,7 +376,6 @@ class TestProgram:
     ("arguments", "message"),
     [
         (["--seed", "-3"], "seed -3"),
-        (["--baud", "0"], "baud 0"),
         (["--plant", "/nonexistent/plant.toml"], "No such file"),
         (["--link", "/nonexistent/servo"], "folder does not exist"),
         (["--link", "/dev/null"], "is not a link"),

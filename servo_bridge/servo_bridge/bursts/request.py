@@ -81,7 +81,7 @@ class BurstRequest:
         """
         parser = _Parser(prog="record", add_help=False)
         parser.add_argument("names", nargs="+")
-        parser.add_argument("--rate", type=float)
+        parser.add_argument("--rate", type=argument.positive)
         add_options(parser)
         try:
             return cls.of(parser.parse_args(shlex.split(text)))

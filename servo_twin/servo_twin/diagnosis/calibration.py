@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.diagnosis.likelihood_ratio import Unknowns
@@ -33,6 +34,9 @@ from servo_twin.plant import PlantConfig
 
 FALSE_ALARM_HOURS: Final = 48.0
 """Target of the mean time between false alarms [h of motion]."""
+
+DURATION: Final = Quantity(unit="s", minimum=60.0, maximum=1e5)
+"""Board time of a calibration."""
 
 _SPAN: Final = 100  # blocks per maximum of the likelihood ratio
 _MEAN_SPAN: Final = 10.0  # time per maximum of the running means [s]

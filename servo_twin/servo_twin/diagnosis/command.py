@@ -6,14 +6,17 @@ import argparse
 import dataclasses
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
+from servo_twin.diagnosis.calibration import DURATION
 from servo_twin.diagnosis.monitor import PLANT_VALUES
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.diagnosis.trials import NOTHING, Answer, Change, HealthyRuns, Trials, confusion
@@ -25,6 +28,7 @@ _DEFAULT: Final = tuple(
     Change(name, size) for name in PLANT_VALUES for size in ((1e-3, -1e-3) if name == "load" else (1.15, 0.85))
 )
 """15 %; a load of 1 mN m is 1 % of the rated torque."""
+_LOSS: Final = Quantity(minimum=0.0, maximum=0.9)
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
@@ -53,12 +57,18 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     parser.add_argument(
         "--time",
-        type=float,
+        type=argument.positive,
         default=10.0,
         metavar="S",
         help="time after the change, or of a trial without one (default: 10)",
     )
-    parser.add_argument("--loss", type=float, default=0.0, metavar="PART", help="fraction of lost samples, 0 .. 0.9")
+    parser.add_argument(
+        "--loss",
+        type=partial(argument.finite, valid=_LOSS),
+        default=0.0,
+        metavar="PART",
+        help="fraction of lost samples, 0 .. 0.9",
+    )
     parser.add_argument(
         "--thresholds", type=Path, metavar="FILE", help="file of `servo_twin calibrate` (default: packaged)"
     )
@@ -73,7 +83,11 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         "--runs", type=argument.count, default=10, metavar="N", help="number of runs (default: %(default)s)"
     )
     calibrator.add_argument(
-        "--time", type=float, default=120.0, metavar="S", help="duration of each run (default: %(default)s)"
+        "--time",
+        type=partial(argument.finite, valid=DURATION),
+        default=120.0,
+        metavar="S",
+        help="duration of each run (default: %(default)s)",
     )
     calibrator.add_argument(
         "--out", type=argument.output_file, default="thresholds.toml", metavar="FILE", help="default: %(default)s"
@@ -89,8 +103,6 @@ def _changes(texts: Sequence[str] | None) -> tuple[Change, ...]:
 
 
 def _run(args: argparse.Namespace) -> int:
-    if not 0.0 <= args.loss <= 0.9 or not args.time > 0.0:
-        raise ValueError("--loss must be 0 .. 0.9, --time above 0")
     level = chosen_level(args.level, default=FAST_LEVEL)
     trials = Trials(
         PlantConfig.load(args.plant),

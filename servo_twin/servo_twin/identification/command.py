@@ -64,19 +64,24 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     defaults = {field.name: field.default for field in dataclasses.fields(Limits)}
     parser.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
-    parser.add_argument("--voltage", type=float, help="voltage of the bus [V] (default: of the plant file)")
+    parser.add_argument("--voltage", type=argument.positive, help="voltage of the bus [V] (default: of the plant file)")
     parser.add_argument(
-        "--current", type=float, default=4.0, help="permitted motor current [A, peak] (default: %(default)s)"
+        "--current",
+        type=argument.positive,
+        default=4.0,
+        help="permitted motor current [A, peak] (default: %(default)s)",
     )
     for name, text in (
         ("speed", "largest speed [rad/s]"),
         ("turns", "largest travel to both sides [revolutions]"),
         ("energy", "permitted braking energy returned to the bus [J]"),
     ):
-        parser.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
+        parser.add_argument(
+            f"--{name}-max", type=argument.positive, default=defaults[name], help=f"{text} (default: %(default)s)"
+        )
     parser.add_argument(
         "--r-on",
-        type=float,
+        type=argument.not_negative,
         help="on resistance of a switch [ohm]; if wrong, the error is added to r_s (default: plant file)",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml with other entries (default: firmware)")
@@ -92,7 +97,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     real = parser.add_argument_group("plant of the virtual board")
     real.add_argument("--motor", type=int, metavar="K", help="a random motor")
-    real.add_argument("--load", type=float, default=0.0, help="constant torque [N m]")
+    real.add_argument("--load", type=argument.finite, default=0.0, help="constant torque [N m]")
     real.add_argument("--locked", action="store_true", help="lock the shaft")
     parser.add_argument("--trials", type=argument.count, metavar="N", help="identify N random motors, print the errors")
     parser.add_argument(

@@ -174,7 +174,10 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         "--all", action="store_true", help="measure the handlers in all modes, features, feedbacks, stops and faults"
     )
     parser.add_argument(
-        "--cycles-per-instruction", type=float, metavar="N", help="clock cycles per instruction (default: core.toml)"
+        "--cycles-per-instruction",
+        type=argument.positive,
+        metavar="N",
+        help="clock cycles per instruction (default: core.toml)",
     )
     parser.set_defaults(run=_run)
 

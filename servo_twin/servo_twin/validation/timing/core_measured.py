@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,8 +17,9 @@ import numpy as np
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.table_text import aligned
-from servo_msgs_py.text_file import parse_toml, read_text, read_toml
+from servo_msgs_py.text_file import read_text, read_toml
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
@@ -104,26 +105,26 @@ def compare(
     return rows, products / sum(row.instructions**2 for row in rows)
 
 
-def with_cycles(text: str, cycles: float) -> str:
-    """Core file with a changed ``cycles_per_instruction``.
+def with_cycles(core: Path, cycles: float) -> str:
+    """Text of a core file with a changed ``cycles_per_instruction``.
 
     Raises
     ------
     ValueError
         If the file does not contain this value exactly once.
     """
-    text, count = re.subn(r"(?m)^(cycles_per_instruction *= *)[0-9.]+", rf"\g<1>{cycles:.2f}", text)
+    text, count = re.subn(r"(?m)^(cycles_per_instruction *= *)[0-9.]+", rf"\g<1>{cycles:.2f}", read_text(core))
     if count != 1:
-        raise ValueError("the core file must contain cycles_per_instruction exactly once")
+        raise ValueError(f"{core}: write cycles_per_instruction = NUMBER once, at the begin of a line")
     return text
 
 
 def instructions(core: Path, plant: PlantConfig, seed: int) -> dict[str, dict[str, float]]:
     """Mean instructions by state and handler, from a virtual board with one clock cycle per instruction."""
-    numbers = {**read_toml(core), "cycles_per_instruction": 1.0}
-    entry = float(numbers["entry_cycles"])
+    speed = replace(CoreSpeed.load(core), cycles_per_instruction=1.0)
+    entry = speed.entry_cycles
     result = {}
-    with Board(plant, seed=seed, level="registers", core=CoreSpeed.parse(numbers)) as board:
+    with Board(plant, seed=seed, level="registers", core=speed) as board:
         for state in STATES:
             _set_up(board, state)
             trace = ChipTrace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
@@ -157,16 +158,18 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    text = read_text(args.core)
     counts = instructions(args.core, PlantConfig.load(args.plant), args.seed)
     if args.measured is None:
-        each = float(parse_toml(text)["cycles_per_instruction"])
+        each = CoreSpeed.load(args.core).cycles_per_instruction
         rows = [Row(s, h, count, each * count) for s, handlers in counts.items() for h, count in handlers.items()]
         print(_table(rows, each))
         return 0
-    rows, cycles = compare(_widths(args.measured), counts)
+    try:
+        rows, cycles = compare(_widths(args.measured), counts)
+    except ValueError as error:
+        raise ValueError(f"{args.measured}: {error}") from None
     print(_table(rows, cycles))
-    write_file(args.core, with_cycles(text, cycles))
+    write_file(args.core, with_cycles(args.core, cycles))
     print(f"cycles_per_instruction = {cycles:.2f} in {args.core}")
     if any(abs(row.cycles / cycles - 1.0) > SPREAD for row in rows):
         print(f"poor fit: the deviation of a width is above {SPREAD:.0%}")
@@ -176,9 +179,12 @@ def _run(args: argparse.Namespace) -> int:
 
 def _widths(path: Path) -> dict[str, dict[str, float]]:
     """Read measured widths [s] from a file."""
-    return {
-        state: {name: 1e-6 * float(width) for name, width in rows.items()} for state, rows in read_toml(path).items()
-    }
+    result: dict[str, dict[str, float]] = {}
+    for state, rows in read_toml(path).items():
+        if not isinstance(rows, Mapping) or any(map(Quantity().problem, rows.values())):
+            raise ValueError(f"{state} is no table of widths in us; write [STATE], then HANDLER = NUMBER")
+        result[state] = {name: 1e-6 * width for name, width in rows.items()}
+    return result
 
 
 def _table(rows: Sequence[Row], cycles: float) -> str:
