@@ -149,14 +149,18 @@ class ServoTwin(Node):
     # ---- construction
     def _files(self) -> tuple[PlantConfig, DiagnosisThresholds]:
         """Read the files of the parameters ``plant`` and ``thresholds``."""
+        plant, thresholds = self._values["plant"] or None, self._values.get("thresholds") or None
         try:
-            plant = PlantConfig.load(self._values["plant"] or None)
-        except (PlantError, OSError) as error:
-            raise ParameterError(f"parameter plant: {error}") from None
-        try:
-            return plant, DiagnosisThresholds.load(self._values.get("thresholds") or None, chosen_level())
-        except (ThresholdsError, OSError) as error:
-            raise ParameterError(f"parameter thresholds: {error}") from None
+            parameter = "plant"
+            config = PlantConfig.load(plant)
+            parameter = "thresholds"
+            return config, DiagnosisThresholds.load(thresholds, chosen_level())
+        except (PlantError, ThresholdsError) as error:
+            raise ParameterError(f"parameter {parameter}: {error}") from None
+        except OSError as error:
+            raise ParameterError(
+                f"parameter {parameter}: {error.filename}: {error.strerror}; correct the path"
+            ) from None
 
     def _new_board(self) -> Board:
         return Board(self._plant, seed=self._values["seed"])

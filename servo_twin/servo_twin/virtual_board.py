@@ -331,10 +331,9 @@ def slip_reporter(level: Level, clock_ns: Callable[[], int] = time.monotonic_ns)
         passed_s = (clock_ns() - last_ns) * 1e-9
         if passed_s < FIRST_REPORT_S or (slipped_s > 0.0 and passed_s < REPORT_INTERVAL_S):
             return
-        factor = max(1.0 - (pacer.slipped_s - slipped_s) / passed_s, 0.0)
         text = (
-            f"the machine is too slow for a board at level {level}: time runs at"
-            f" {factor:.2f} of its speed (last {passed_s:.1f} s); {_slips(pacer)}"
+            f"the machine is too slow for a board at level {level}: it lost {pacer.slipped_s - slipped_s:.3f} s"
+            f" in the last {passed_s:.1f} s; {_slips(pacer)}"
         )
         complain(f"virtual_board: warning: {text}")
         notify(text)

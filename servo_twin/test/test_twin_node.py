@@ -425,7 +425,8 @@ def test_malformed_messages_are_ignored(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("parameters", "reported"),
     [
-        ({"plant": "/nowhere/plant.toml"}, "plant"),
+        ({"plant": "/nowhere/p.toml"}, "plant: /nowhere/p.toml: No such file or directory; correct the path"),
+        ({"thresholds": "/nowhere/t.toml"}, "thresholds: /nowhere/t.toml: No such file or directory; correct the path"),
         ({"seed": -1}, "seed"),
         ({"position_tolerance": "small"}, "position_tolerance"),
     ],
