@@ -216,7 +216,8 @@ TOGETHER = [
         "axis1: current controller q Kp = 214.",
         "does not fit current_loop.q.kp",
         axis1__motor__l_q=0.1,
-        axis1__rotor_search__current=0.07,
+        axis1__rotor_search__current=0.076,
+        axis1__sensing__sign_current=0.035,
         axis1__friction__coulomb=1e-4,
     ),
     case(

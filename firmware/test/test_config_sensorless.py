@@ -227,6 +227,30 @@ def test_the_sign_current_follows_the_inductance() -> None:
     assert [one.entry for one in refusal.value.problem.remedies] == ["axis1.limits.current"]
 
 
+def test_the_sign_current_is_not_cut_where_the_limit_is_small() -> None:
+    """0.8 A per dead time: the direction is certain above 1 A, also in the rotor search."""
+    small: dict[str, object] = {"axis1__motor__l_d": 30e-6, "axis1__motor__l_q": 30e-6, "axis1__limits__current": 1.7}
+    with pytest.raises(ConfigError, match=r"^axis1\.rotor_search\.current = 0\.9: below 1 A"):
+        axis(**small, axis1__rotor_search__current=0.9)
+    found = axis(**small, axis1__rotor_search__current=1.1).constants
+    assert found["current_loop.dead_time.slope"] == round(256.0 * 8.25)
+    assert found["winding.direction_current_min"] == round(32768.0 / 8.25)
+
+
+@pytest.mark.parametrize("limit", [0.11, 0.15, 0.3])
+def test_a_silent_phase_is_noticed_with_a_small_limit(limit: float) -> None:
+    small: dict[str, object] = {"axis1__limits__current": limit, "axis1__rotor_search__current": limit}
+    found = axis(**small, axis1__friction__coulomb=1e-4, axis1__motor__l_d=3e-3, axis1__motor__l_q=3e-3).constants
+    assert found["winding.current_min"] == round(32768.0 / 8.25 * min(0.16, 0.8 * limit))
+
+
+def test_a_sign_current_near_the_limit_is_refused_with_both_remedies() -> None:
+    with pytest.raises(ConfigError, match=r"^axis1\.sensing\.sign_current .* is not noticed") as refusal:
+        axis(axis1__sensing__sign_current=3.3)
+    entries = [one.entry for one in refusal.value.problem.remedies]
+    assert entries == ["axis1.sensing.sign_current", "axis1.limits.current"]
+
+
 def test_a_resistance_error_above_the_back_emf_causes_a_warning() -> None:
     """25 % of 2.2 ohm at 4 A: 2.2 V, the back-EMF of 0.0308 V s at 71.4 rad/s, 23 % of the speed limit."""
     it = axis(axis1__motor__r_s=2.2)

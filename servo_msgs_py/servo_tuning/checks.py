@@ -8,8 +8,8 @@ import math
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-from servo_tuning.configuration import Axis, Board, Configuration, Scales
-from servo_tuning.constants import SIGN_USE, dead_time_current
+from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
+from servo_tuning.constants import SIGN_USE, SILENT_USE, dead_time_current, sign_current
 from servo_tuning.errors import either, exactly, higher, lower
 from servo_tuning.field_weakening import idle_speed
 from servo_tuning.rotor_search import check_rotor_search
@@ -32,6 +32,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
     for axis in configuration.axes:
         _contract(axis, catalogue)
         _axis(axis)
+        _direction(axis, board)
         _voltage(axis, board)
         _order(axis, board)
         check_rotor_search(axis, board)
@@ -99,16 +100,27 @@ def _axis(axis: Axis) -> None:
         raise axis.refused("motor.rotor_inertia", reason, lower("motor.rotor_inertia"), higher("motor.inertia"))
 
 
+def _direction(axis: Axis, board: Board) -> None:
+    """Check that the currents of drive and rotor search are large enough for a certain direction."""
+    change, limit = dead_time_current(axis, board), axis("limits.current")
+    cause = f"the current of this winding changes by {change:.3g} A during a dead time"
+    # not a shorter dead time: the switches determine it, and a too short one shorts the half bridge
+    inductance = "add inductance to the motor cable"
+    if change > SIGN_USE * limit:
+        reason = f"{cause}, more than {SIGN_USE:g} of it: its direction is not known"
+        raise axis.refused("limits.current", reason, higher("limits.current"), inductance)
+    if axis("sensing.sign_current") > SILENT_USE * limit:
+        reason = f"more than {SILENT_USE:g} of limits.current = {limit:g} A: a phase without current is not noticed"
+        changes = lower("sensing.sign_current"), higher("limits.current")
+        raise axis.refused("sensing.sign_current", reason, *changes)
+    least = sign_current(axis, board)
+    if axis.feedback == FEEDBACKS[0] and axis("rotor_search.current") < least:
+        reason = f"below {least:.3g} A its direction is not known, {cause}"
+        changes = higher("rotor_search.current"), lower("sensing.sign_current")
+        raise axis.refused("rotor_search.current", reason, *changes, inductance)
+
+
 def _voltage(axis: Axis, board: Board) -> None:
-    change = dead_time_current(axis, board)
-    if change > SIGN_USE * axis("limits.current"):
-        reason = (
-            f"the current of this winding changes by {change:.3g} A during a dead time, more than {SIGN_USE:g} of it: "
-            "its direction is not known"
-        )
-        advice = "add inductance to the motor cable"
-        # not a shorter dead time: the switches determine it, and a too short one shorts the half bridge
-        raise axis.refused("limits.current", reason, higher("limits.current"), advice)
     maximum = idle_speed(axis, board)
     if axis("limits.speed") > maximum:
         reason = f"above the no-load speed of {maximum:.4g} rad/s at {board('nominal_voltage'):g} V"

@@ -21,7 +21,9 @@ PI_SUM: Final = fixed_point("one sum of a PI controller and its decoupling", 24,
 SIGN_FACTOR: Final = 1.25
 """Least current with a certain direction, over the change of the current during a dead time."""
 SIGN_USE: Final = 0.5
-"""Largest one that is chosen for a winding of low inductance, over the current limit."""
+"""Largest change of the current during a dead time, over the current limit."""
+SILENT_USE: Final = 0.8
+"""Largest current of a phase that is taken for silent, over the current limit."""
 
 _LINES: Final = "correct encoder.lines"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
@@ -293,14 +295,14 @@ def dead_time_current(axis: Axis, board: Board) -> float:
 
 def sign_current(axis: Axis, board: Board) -> float:
     """Phase current above which its direction is certain: the entry, or more for a winding of low inductance [A]."""
-    least = min(SIGN_FACTOR * dead_time_current(axis, board), SIGN_USE * axis("limits.current"))
-    return max(axis("sensing.sign_current"), least)
+    return max(axis("sensing.sign_current"), SIGN_FACTOR * dead_time_current(axis, board))
 
 
 def _monitor_constants(to: Converter) -> dict[str, Value]:
     """Thresholds of the monitors of phases, current sensing, encoder and heat sink."""
     axis, board, s = to.axis, to.board, to.s
     sign = sign_current(axis, board) / s.i
+    silent = min(2.0 * sign, SILENT_USE * axis("limits.current") / s.i)
     dead = 0.5 * board("dead_time") / board.period * board("nominal_voltage")
     floor = max(board("switch_drop") + dead, 0.5) / s.u_s
     turn = s.u_s / axis("motor.psi_m") * board.tick / (2.0 * math.pi)
@@ -308,7 +310,7 @@ def _monitor_constants(to: Converter) -> dict[str, Value]:
     inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
     return {
         "winding.current_min": to.of(
-            "current of a silent phase, twice sensing.sign_current", 2.0 * sign, either("sensing.sign_current")
+            "current of a silent phase, twice sensing.sign_current", silent, either("sensing.sign_current")
         ),
         "winding.direction_current_min": to.of(
             "smallest current with a direction", sign, either("sensing.sign_current")
