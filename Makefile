@@ -63,7 +63,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware chip-budget bench-twin bench-fmu bench-state launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
+.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware chip-budget bench-twin bench-fmu bench-state bench-robot launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -110,6 +110,9 @@ bench-fmu: $(VENV)/.native $(VENV)/.dev ## bits of an exported FMU against those
 
 bench-state: $(VENV)/.native ## size of the state of a virtual board, time to save and to restore it
 	@$(BIN)/python tests/bench/board_state.py
+
+bench-robot: $(VENV)/.native $(VENV)/.dev ## times real time of a two-joint arm in MuJoCo, beside the same arm with <dcmotor>
+	@$(BIN)/python tests/bench/robot.py
 
 # They have no wheels. composition_interfaces is a package of generated messages that launch_ros imports and our files do not use.
 launch-tools: $(VENV)/.packages ## `ros2 launch`, for the tests, from a folder with checkouts of the ROS 2 repositories; ROS2_SOURCES=DIR

@@ -24,7 +24,7 @@ setup(
     # Spelt out, an editable install is a plain path entry. The import hook that setuptools writes otherwise loses to
     # the folder of the same name when the current directory is the root of the repository.
     package_dir={"": "."},
-    package_data={"": ["*.toml", "py.typed"]},
+    package_data={"": ["*.toml", "*.xml", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (SHARE, ["package.xml"]),
@@ -41,6 +41,8 @@ setup(
         "test": ["pytest", "hypothesis"],
         # servo-sim --scheduler: trials on a cluster.
         "cluster": ["distributed"],
+        # servo-sim arm, servo_twin.robot; there is no MuJoCo 4 for Python 3.10.
+        "mujoco": ['mujoco>=4; python_version >= "3.11"'],
         # servo-sim tune-robust.
         "tune": ["optuna>=5"],
         # The nodes and experiments run without; there is no rerun for Python 3.10.

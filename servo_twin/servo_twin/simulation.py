@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.board_port import place, reached, word
+from servo_msgs_py.board_port import BoardPort, place, reached, word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
@@ -38,18 +38,18 @@ def record(board: Board, seconds: float) -> NDArray[np.void]:
     return board.record(board.time_ns + round(seconds * 1e9))
 
 
-def keep_set_points(board: Board) -> None:
+def keep_set_points(board: BoardPort) -> None:
     """Disable the timeout of velocity and torque set-points: no host repeats them in such a run."""
-    board.write("param.command_timeout", 0.0)
+    write_axis(board, "param.command_timeout", 0, 0.0)
 
 
-def enable(board: Board, search_max: float = SEARCH_MAX) -> float:
+def enable(board: BoardPort, search_max: float = SEARCH_MAX) -> float:
     """Enable both axes of a new board and wait for SPIN; returns the duration of the rotor search [s].
 
     Parameters
     ----------
-    board : Board
-        New board.
+    board : BoardPort
+        New board, in simulated time.
     search_max : float
         Largest duration of the rotor search [s].
 
@@ -59,8 +59,9 @@ def enable(board: Board, search_max: float = SEARCH_MAX) -> float:
         If an axis has a fault, or on a timeout of the rotor search.
     """
     keep_set_points(board)
-    board.run(_BOOT)
-    board.write("cmd.enable", [1] * AXES)
+    board.wait(_BOOT)
+    for axis in range(AXES):
+        write_word(board, "cmd.enable", axis, 1)
     begin = board.clock()
 
     def found() -> bool:

@@ -1,0 +1,204 @@
+"""Joints of MuJoCo that the firmware drives: motion, energy, faults, states, refusals."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from servo_msgs_py.board_port import active
+from servo_twin.board import Board, BoardError
+from servo_twin.plant import PlantConfig
+from servo_twin.robot.command import follow
+
+pytest.importorskip("mujoco", reason="there is no MuJoCo 4 for Python 3.10")
+
+import mujoco
+from servo_twin.robot.coupling import CouplingError, Drive, Mode, RobotDrives
+
+PLANT: Final = PlantConfig.load().with_axis(0, friction=0.0)
+ROTOR: Final = f'armature="{PLANT.axes[0].inertia}" damping="{PLANT.axes[0].viscous}"'
+
+pytestmark = pytest.mark.usefixtures("level")
+
+
+def joint_model(
+    actuator: str = f'dyntype="user" actdim="1" {ROTOR}',
+    *,
+    inertia: float = 1e-12,
+    length: float = 0.0,
+    transmission: str = 'joint="joint"',
+    options: str = "",
+    step: float = 0.0005,
+) -> Any:
+    """Model of one joint with a body of 1 kg at the end of a massless rod, axis horizontal."""
+    return mujoco.MjModel.from_xml_string(f"""
+      <mujoco>
+        <compiler boundinertia="0"/>
+        <option timestep="{step}" {options}><flag energy="enable"/></option>
+        <worldbody>
+          <body name="body">
+            <joint name="joint" axis="0 1 0"/>
+            <inertial pos="0 0 {-length}" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>
+          </body>
+        </worldbody>
+        <equality><joint name="block" joint1="joint" active="false" solref="0.002 1"/></equality>
+        <actuator><general name="motor" {transmission} {actuator}/></actuator>
+      </mujoco>""")
+
+
+def coupled(board: Board, mode: Mode | None = "POSITION", model: Any = None) -> RobotDrives:
+    model = joint_model() if model is None else model
+    return RobotDrives(model, mujoco.MjData(model), board, [Drive("motor", 0, mode)])
+
+
+def test_joint_of_the_rotor_alone_moves_as_the_rotor_of_the_board() -> None:
+    """Free inertia: a reversal of speed in MuJoCo and in the plant of the board, with steps of 0.5 ms."""
+    with Board(PLANT, seed=4) as board, Board(PLANT, seed=4) as other:
+        drives = coupled(board, "SPEED")
+        drives.enable()
+        drives.data.ctrl[0] = 60.0
+        drives.wait(0.3)
+        other.restore(board.state())
+        other.release_shaft(0)
+        drives.data.ctrl[0] = -40.0
+        other.write("cmd.speed", [-40.0, 0.0])
+        start = board.truth(0).theta_m
+        difference = 0.0
+        for _ in range(400):
+            drives.step()
+            other.advance(board.time_ns)
+            difference = max(difference, abs(board.truth(0).theta_m - other.truth(0).theta_m))
+        assert board.truth(0).theta_m - start < -6.0
+        assert difference < 0.16  # the torque is late by one step
+        assert drives.data.qvel[0] == pytest.approx(-40.0, abs=1.0)
+
+
+def test_pendulum_takes_the_work_of_the_air_gap() -> None:
+    """Kinetic and potential energy in MuJoCo against torque of the board times rotation, and the angle of rest."""
+    model = joint_model(
+        f'dyntype="user" actdim="1" gear="20" {ROTOR}', length=0.05, options='gravity="0 0 -9.81" integrator="RK4"'
+    )
+    with Board(PLANT, seed=4) as board:
+        drives = coupled(board, "TORQUE", model)
+        drives.enable()
+        data, viscous = drives.data, PLANT.axes[0].viscous
+        data.ctrl[0] = 0.4 * 9.81 * 0.05 / 20.0  # rest at asin 0.4
+        mujoco.mj_forward(model, data)
+        before, work, loss, exchanged = float(data.energy.sum()), 0.0, 0.0, 0.0
+        torque, impulse = float(data.act[0]), board.truth(0).impulse_e
+        for _ in range(800):
+            angle, speed = float(drives.lengths()[0]), 20.0 * float(data.qvel[0])
+            drives.step()
+            rotation = float(drives.lengths()[0]) - angle
+            work += torque * rotation  # the torque of the step before
+            exchanged += abs(torque * rotation)
+            loss += viscous * 0.5 * (speed + 20.0 * float(data.qvel[0])) * rotation
+            torque, impulse = (board.truth(0).impulse_e - impulse) / model.opt.timestep, board.truth(0).impulse_e
+        mujoco.mj_forward(model, data)
+        assert exchanged > 0.1
+        assert float(data.energy.sum()) - before == pytest.approx(work - loss, abs=1e-3 * exchanged)
+        assert work / float(drives.lengths()[0]) == pytest.approx(data.ctrl[0], rel=0.02)
+
+
+def test_blocked_joint_is_a_fault_of_the_firmware() -> None:
+    with Board(PLANT, seed=4) as board:
+        drives = coupled(board)
+        drives.enable()
+        drives.data.eq_active[0] = 1
+        drives.data.ctrl[0] += 30.0
+        drives.wait(2.0)
+        assert active(board, 0) & {"STALLED", "FOLLOWING_ERROR"}
+        assert abs(drives.data.act[0]) < 1e-3  # the outputs are off
+
+
+def test_arm_follows_its_set_points() -> None:
+    with Board(seed=1) as board:
+        log = follow(board, 1.5)
+    assert np.abs(log.angle).max() > 0.4
+    assert np.abs(log.angle - log.set_point).max() < 0.15
+    assert np.abs(log.torque).max() < 3.0
+
+
+def test_states_and_copies_continue_with_the_same_bits() -> None:
+    with Board(PLANT, seed=4) as board:
+        drives = coupled(board)
+        assert drives.copy().state().board == drives.state().board
+        drives.enable()
+        drives.data.ctrl[0] += 5.0
+        drives.wait(0.02)
+        state = pickle.loads(pickle.dumps(drives.state()))
+        copy = drives.copy()
+        ends = []
+        for one in (drives, copy, drives):
+            one.wait(0.05)
+            ends.append(one.state())
+            drives.restore(state)
+        assert ends[0].board == ends[1].board == ends[2].board
+        assert ends[0].simulator.tobytes() == ends[1].simulator.tobytes() == ends[2].simulator.tobytes()
+        drives.reset()
+        assert drives.data.time == 0.0
+        copy.reset()
+        assert copy.enable() == drives.enable()
+
+
+def test_control_signals_have_range_and_bits_of_the_firmware() -> None:
+    model = joint_model(f'dyntype="user" actdim="1" ctrlrange="-10 10" {ROTOR}')
+    with Board(PLANT, seed=4) as board:
+        drives = coupled(board, "SPEED", model)
+        drives.data.ctrl[0] = 1000.0
+        drives.step()
+        assert board.read("cmd.speed")[0] == pytest.approx(10.0, abs=1e-5)  # type: ignore[index]
+        drives.data.ctrl[0] = math.nan
+        with pytest.raises(CouplingError, match="actuator 'motor': the control signal is nan"):
+            drives.step()
+    with Board(PLANT, seed=4) as board:
+        drives = coupled(board, "SPEED")
+        drives.data.ctrl[0] = 1000.0
+        with pytest.raises(CouplingError, match=r"actuator 'motor': .*419"):
+            drives.step()
+
+
+def test_foreign_changes_of_the_model_are_refused() -> None:
+    with Board(PLANT, seed=4) as board:
+        drives = coupled(board)
+        drives.wait(0.01)
+        mujoco.mj_resetData(drives.model, drives.data)
+        with pytest.raises(CouplingError, match="instead of mj_resetData"):
+            drives.step()
+        drives.reset()
+        drives.data.qpos[0] = 100.0
+        with pytest.raises(BoardError, match="faster than 2000 rad/s"):
+            drives.step()
+
+
+@pytest.mark.parametrize(
+    ("model", "drives", "message"),
+    [
+        ({}, [Drive("elbow", 0)], "actuator 'elbow': not in the model; its actuators: motor"),
+        ({}, [Drive("motor", 2)], "no axis with index 2"),
+        ({}, [Drive("motor", 0), Drive("motor", 0)], "two drives have the same actuator"),
+        ({"step": 0.0001}, [Drive("motor", 0)], "time step 0.0001 s .* not a multiple of a PWM period"),
+        ({"actuator": ROTOR}, [Drive("motor", 0)], 'write <general dyntype="user"'),
+        (
+            {"transmission": 'body="body"', "actuator": 'dyntype="user" actdim="1"'},
+            [Drive("motor", 0)],
+            "a motor turns a hinge or a slide",
+        ),
+        ({"actuator": 'dyntype="user" actdim="1"'}, [Drive("motor", 0)], 'write armature="8e-06"'),
+    ],
+)
+def test_model_that_does_not_fit_is_refused(model: dict[str, Any], drives: list[Drive], message: str) -> None:
+    one = joint_model(**model)
+    with Board(PLANT, seed=4) as board, pytest.raises(CouplingError, match=message):
+        RobotDrives(one, mujoco.MjData(one), board, drives)
+
+
+def test_holding_brake_is_refused() -> None:
+    model = joint_model()
+    with Board(PLANT.with_value("axis1.pins.brake_torque", 0.1), seed=4) as board:
+        data = mujoco.MjData(model)
+        with pytest.raises(CouplingError, match="set brake_torque = 0"):
+            RobotDrives(model, data, board, [Drive("motor", 0)])

@@ -1,0 +1,69 @@
+"""Times real time of the arm of ``servo-sim arm``, driven by the board and by ``<dcmotor>``: ``make bench-robot``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import mujoco
+from servo_msgs_py.catalogue import AXES
+from servo_twin.board import Board
+from servo_twin.plant import PlantConfig
+from servo_twin.robot.command import JOINTS, MODEL, set_points
+from servo_twin.robot.coupling import Drive, RobotDrives
+
+SECONDS: Final = 4.0  # simulated
+STEPS: Final = (0.0005, 0.001)  # [s]
+
+
+def arm(step: float) -> Any:
+    """The arm with this time step [s], not compiled."""
+    spec = mujoco.MjSpec.from_file(str(MODEL))
+    spec.option.timestep = step
+    return spec
+
+
+def times_real_time(data: Any, step: Callable[[], None], gear: float) -> float:
+    """Simulated time of the figure over time of the processor."""
+    begin, used = data.time, time.thread_time()
+    while data.time - begin < SECONDS:
+        data.ctrl[:] = gear * set_points(data.time - begin)
+        step()
+    return SECONDS / (time.thread_time() - used)
+
+
+def by_board(level: Any, step: float) -> float:
+    """Of the arm that the firmware drives."""
+    model = arm(step).compile()
+    with Board(seed=1, level=level) as board:
+        axes = [Drive(joint, axis) for axis, joint in enumerate(JOINTS)]
+        drives = RobotDrives(model, mujoco.MjData(model), board, axes)
+        drives.enable()
+        return times_real_time(drives.data, drives.step, float(model.actuator_gear[0, 0]))
+
+
+def by_dcmotor(step: float) -> float:
+    """Of the arm with motors of MuJoCo, set-point: voltage."""
+    spec = arm(step)
+    plant = PlantConfig.load()
+    for axis in range(AXES):
+        motor = plant.axes[axis]
+        spec.actuators[axis].set_to_dcmotor(
+            motorconst=[motor.torque_constant, motor.torque_constant], resistance=1.5 * motor.r_s
+        )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    return times_real_time(data, lambda: mujoco.mj_step(model, data), 1.0)
+
+
+def main() -> None:
+    """Print a table."""
+    print("time step [ms]   registers   ideal   <dcmotor>")
+    for step in STEPS:
+        figures = by_board("registers", step), by_board("ideal", step), by_dcmotor(step)
+        print(f"{1e3 * step:14g}   {figures[0]:9.1f}   {figures[1]:5.1f}   {figures[2]:9.0f}")
+
+
+if __name__ == "__main__":
+    main()
