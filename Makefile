@@ -240,7 +240,7 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 	@if [ -n "$(ROS_DISTRO)" ] && $(BIN)/python -c 'import rclpy' 2>/dev/null; then \
 	  echo "[2/2] rclpy of the sourced ROS 2 $(ROS_DISTRO), rerun and matplotlib"; ros=; \
 	else echo "[2/2] ROS 2 Jazzy, rerun and matplotlib"; ros=ros,; fi; \
-	SERVO_TWIN_MODULES= $(INSTALL) --editable "./servo_msgs_py[$${ros}record]" --editable ./servo_bridge --editable './servo_twin[viewer]'
+	SERVO_TWIN_MODULES= $(INSTALL) --editable "./servo_msgs_py[$${ros}record]" --editable ./servo_bridge --editable './servo_twin[viewer,parquet]'
 	@# An editable install leaves data files out: the ament index, launch files and what `ros2 run` starts.
 	@for package in $(PACKAGES); do (cd $$package && SERVO_TWIN_MODULES= \
 	  ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done

@@ -43,6 +43,8 @@ setup(
         "cluster": ["distributed"],
         # servo-sim arm, servo_twin.robot; there is no MuJoCo 4 for Python 3.10.
         "mujoco": ['mujoco>=4; python_version >= "3.11"'],
+        # servo-twin export --format parquet, servo-sim sweep --parquet; rerun needs it, too.
+        "parquet": ["pyarrow"],
         # servo-sim tune-robust.
         "tune": ["optuna>=5"],
         # The nodes and experiments run without; there is no rerun for Python 3.10.

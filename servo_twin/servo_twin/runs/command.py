@@ -1,4 +1,4 @@
-"""``servo-twin``: replay and compare recorded runs, without ROS and in less than their time."""
+"""``servo-twin``: replay, compare and export recorded runs, without ROS and in less than their time."""
 
 from __future__ import annotations
 
@@ -28,12 +28,14 @@ from servo_twin.runs.compare import Compared, compare, table
 from servo_twin.runs.compare_output import Picture, RerunFile
 from servo_twin.runs.curves import curves_of
 from servo_twin.runs.divergence import noise_bands
+from servo_twin.runs.export import FORMATS, export
 from servo_twin.runs.recorded import RecordedRun
 from servo_twin.runs.replay import Replay, WhatIf, model_of
 from servo_twin.runs.replay_output import McapOutput, RrdOutput
 from servo_twin.servo_config import ServoConfig, servo_table
 
 DIVERGENCE, BAD_INPUT = 1, 2
+_RECORDING = ".mcap or .db3 file, or folder of a bag"
 _PICTURES = (".png", ".svg", ".pdf")
 _OUTPUTS: Mapping[str, type[McapOutput | RrdOutput]] = {".mcap": McapOutput, ".rrd": RrdOutput}
 
@@ -48,7 +50,7 @@ def parser() -> argparse.ArgumentParser:
         description="Repeats a recorded run on the twin, at the same ticks, and names the first divergence. "
         "Exit status: 0 identical, 1 divergence, 2 wrong input.",
     )
-    replayer.add_argument("run", type=Path, metavar="RUN", help=".mcap or .db3 file, or folder of a bag")
+    replayer.add_argument("run", type=Path, metavar="RUN", help=_RECORDING)
     replayer.add_argument("--plant", type=Path, metavar="FILE", help="what if: another plant, changes of plant.toml")
     replayer.add_argument("--config", type=Path, metavar="FILE", help="what if: another configuration, a servo.toml")
     replayer.add_argument(
@@ -78,6 +80,31 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_common_options(comparer, ".png, .svg, .pdf or .rrd")
     comparer.set_defaults(run_command=_compare)
+    exporter = verbs.add_parser(
+        "export",
+        help="write the tables of a recording as CSV or Parquet files",
+        description="Writes one table per topic, and per command variable, with times, ticks and SI units in the heads "
+        "of the columns. Topics with texts and states are left out. Exit status: 0 success, 2 wrong input.",
+    )
+    exporter.add_argument("run", type=Path, metavar="RUN", help=_RECORDING)
+    exporter.add_argument(
+        "-o",
+        "--output",
+        type=argument.output_folder,
+        required=True,
+        metavar="FOLDER",
+        help="files of the same name are replaced",
+    )
+    exporter.add_argument("--format", choices=FORMATS, default="csv", help="default: csv; parquet needs pyarrow")
+    exporter.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="TOPIC",
+        help="only this one, as /servo/snapshot; repeatable",
+    )
+    exporter.add_argument("--json", action="store_true", help="print the result as JSON")
+    exporter.set_defaults(run_command=_export)
     return result
 
 
@@ -166,6 +193,24 @@ def _replay(args: argparse.Namespace) -> int:
     if not replayed.stretches:
         return BAD_INPUT
     return DIVERGENCE if replayed.first is not None else 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    exported = export(args.run, args.output, args.format, args.topic)
+    troubles = [f"{text} ({count} times)" if count > 1 else text for text, count in exported.troubles.items()]
+    if args.json:
+        tables = [{**asdict(table), "path": str(table.path)} for table in exported.tables]
+        print(json.dumps({"tables": tables, "left_out": exported.left_out, "missing": troubles}, indent=2))
+    else:
+        rows = [["file", "rows", "columns"]]
+        rows += [[str(table.path), str(table.rows), str(table.columns)] for table in exported.tables]
+        print("\n".join(aligned(rows, "<>>")))
+        if exported.left_out:
+            print(f"without numbers for a table: {', '.join(sorted(exported.left_out))}")
+        print(*(f"missing: {text}" for text in troubles), sep="\n", end="\n" if troubles else "")
+    if not exported.tables:
+        raise ValueError(f"{args.run} has no table" + (f" of {', '.join(args.topic)}" if args.topic else ""))
+    return 0
 
 
 @program("servo-twin")

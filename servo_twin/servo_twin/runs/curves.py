@@ -33,6 +33,10 @@ BLOCK: Final = 1 << 14
 """Samples of a block."""
 
 TICK: Final = "tick"
+LOG_TIME: Final = "log_time"
+ROS_TIME: Final = "ros_time"
+"""Columns of an exported table: times of the recording and of the sample since the epoch [ns]."""
+
 _FLOAT64: Final = "std_msgs/msg/Float64MultiArray"
 _CDR_LITTLE: Final = b"\x00\x01"
 _LINE_BYTES: Final = 1 << 16  # of the longest line of a CSV file
@@ -162,7 +166,7 @@ class _RrdFile:
 
 
 class _CsvFile:
-    """Rows of ``servo-tool record``."""
+    """Rows of ``servo-tool record``, or of ``servo-twin export``."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -183,6 +187,8 @@ class _CsvFile:
                 if not table.size:
                     return
                 columns = dict(zip(heads, table.T, strict=True))
+                for stamp in (LOG_TIME, ROS_TIME):
+                    columns.pop(stamp, None)
                 if TICK in columns:
                     columns[TIME] = columns[TICK] * (PERIOD_NS * 1e-9)
                 yield Trace(0.0, {n: c for n, c in columns.items() if names is None or n in (TIME, *names)})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,7 +13,7 @@ from typing import Any, Final
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import named, write_file
 
-from servo_twin.simulation import SimulationError
+from servo_twin.parquet import import_parquet
 from servo_twin.validation.sweep.space import Varied
 from servo_twin.validation.sweep.trial import Trial
 
@@ -52,14 +51,10 @@ def write_parquet(path: Path, trials: Iterable[Trial], varied: Sequence[str], fi
 
     Raises
     ------
-    SimulationError
+    ParquetError
         If pyarrow is not installed.
     """
-    try:
-        pyarrow: Any = importlib.import_module("pyarrow")  # has no type hints
-        parquet: Any = importlib.import_module("pyarrow.parquet")
-    except ImportError:
-        raise SimulationError("parquet needs pyarrow: pip install pyarrow") from None
+    pyarrow, parquet = import_parquet()
     types = {"trial": pyarrow.int64(), "inside": pyarrow.bool_(), "problem": pyarrow.string()}
     names = _names(varied, figures)
     schema = pyarrow.schema([(name, types.get(name, pyarrow.float64())) for name in names])
