@@ -290,6 +290,15 @@ FINDINGS = [
         axis1__limits__current=1.0,
         axis1__rotor_search__current=1.0,
     ),
+    case(
+        "axis1.control.current_bandwidth (in [defaults.control]) = 1000",
+        "oscillate at 693 Hz, use 1386 Hz",
+        axis1__motor__inertia=5e-7,
+        axis1__motor__rotor_inertia=5e-7,
+        axis1__motor__l_d=0.15e-3,
+        axis1__motor__l_q=0.15e-3,
+        axis1__control__path_current_use=0.1,
+    ),
     case("axis1: position K_v = 0.001 1/s", "rounding", axis1__control__position_gain=0.001),
 ]
 
