@@ -22,7 +22,7 @@ GAIN_MIN: Final = 2.0
 """Recommended gain margin of current and speed loop."""
 
 EXCHANGE_USE: Final = 0.5
-"""Largest natural frequency of winding and shaft, over the bandwidth of the current loop. At 0.66 and above random
+"""Largest natural frequency of winding and shaft, over the bandwidth of the current loop. At 0.66 and above some random
 motors lost their encoder, or friction held them with the speed loop that such a current loop permits."""
 CURRENT_SAMPLES_MIN: Final = 9.0
 """Samples per period at the largest recommended bandwidth of the current loop; 8 give a phase margin of 45 degrees, and
