@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, Final
 
@@ -149,18 +150,10 @@ class ServoTwin(Node):
     # ---- construction
     def _files(self) -> tuple[PlantConfig, DiagnosisThresholds]:
         """Read the files of the parameters ``plant`` and ``thresholds``."""
-        plant, thresholds = self._values["plant"] or None, self._values.get("thresholds") or None
-        try:
-            parameter = "plant"
-            config = PlantConfig.load(plant)
-            parameter = "thresholds"
-            return config, DiagnosisThresholds.load(thresholds, chosen_level())
-        except (PlantError, ThresholdsError) as error:
-            raise ParameterError(f"parameter {parameter}: {error}") from None
-        except OSError as error:
-            raise ParameterError(
-                f"parameter {parameter}: {error.filename}: {error.strerror}; correct the path"
-            ) from None
+        with _file_of("plant"):
+            plant = PlantConfig.load(self._values["plant"] or None)
+        with _file_of("thresholds"):
+            return plant, DiagnosisThresholds.load(self._values.get("thresholds") or None, chosen_level())
 
     def _new_board(self) -> Board:
         return Board(self._plant, seed=self._values["seed"])
@@ -482,6 +475,17 @@ class ServoTwin(Node):
         """Stop the worker thread and destroy the node."""
         self._worker.stop()
         Node.destroy_node(self)
+
+
+@contextmanager
+def _file_of(parameter: str) -> Iterator[None]:
+    """Context of the reading of a file: a `ParameterError` has its name and what is wrong."""
+    try:
+        yield
+    except (PlantError, ThresholdsError) as error:
+        raise ParameterError(f"parameter {parameter}: {error}") from None
+    except OSError as error:
+        raise ParameterError(f"parameter {parameter}: {error.filename}: {error.strerror}; correct the path") from None
 
 
 def _larger(first: Residual, second: Residual) -> Residual:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from servo_twin.cli import main
-from servo_twin.core_speed import DEFAULT_FILE
+from servo_twin.core_speed import DEFAULT_FILE, CoreSpeed
 from servo_twin.plant import PlantConfig
 from servo_twin.validation.timing.core_measured import compare, instructions, with_cycles
 
@@ -82,7 +82,7 @@ def test_measured_widths_are_written_to_the_file(tmp_path: Path, capsys: pytest.
     """Widths 25 % above those of the virtual board; with the new number it reports the measured widths."""
     core, measured = tmp_path / "core.toml", tmp_path / "measured.toml"
     shutil.copy(DEFAULT_FILE, core)
-    counts = instructions(core, PlantConfig.load(), seed=1)
+    counts = instructions(CoreSpeed.load(core), PlantConfig.load(), seed=1)
     lines = [f"[{s}]\n" + "\n".join(f"{h} = {0.025 * n}" for h, n in rows.items()) for s, rows in counts.items()]
     measured.write_text("\n".join(lines), encoding="utf-8")
     assert main(["core-speed", "--measured", str(measured), "--core", str(core)]) == 0

@@ -36,13 +36,21 @@ class CouplingError(ValueError):
 
 @dataclass(frozen=True)
 class Drive:
-    """One axis of the board at one actuator of the model."""
+    """One axis of the board at one actuator of the model.
 
-    actuator: str  # name of the actuator
-    axis: int  # index of the axis
-    mode: Mode | None = (
-        "POSITION"  # meaning of the control signal; None: it is not read, the axis is commanded otherwise
-    )
+    Parameters
+    ----------
+    actuator : str
+        Name of the actuator.
+    axis : int
+        Index of the axis.
+    mode : Mode, optional
+        Meaning of the control signal; None: it is not read, the axis is commanded otherwise.
+    """
+
+    actuator: str
+    axis: int
+    mode: Mode | None = "POSITION"
 
 
 @dataclass(frozen=True)
@@ -122,7 +130,7 @@ class RobotDrives:
         Raises
         ------
         CouplingError
-            If a control signal is not valid, or the time of the model was changed by somebody else.
+            If a control signal is not valid, or the time of the model was changed outside of the coupling.
         BoardError
             If a joint jumps or turns the motor faster than 2000 rad/s.
         """

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -119,12 +120,11 @@ def with_cycles(core: Path, cycles: float) -> str:
     return text
 
 
-def instructions(core: Path, plant: PlantConfig, seed: int) -> dict[str, dict[str, float]]:
+def instructions(core: CoreSpeed, plant: PlantConfig, seed: int) -> dict[str, dict[str, float]]:
     """Mean instructions by state and handler, from a virtual board with one clock cycle per instruction."""
-    speed = replace(CoreSpeed.load(core), cycles_per_instruction=1.0)
-    entry = speed.entry_cycles
+    entry = core.entry_cycles
     result = {}
-    with Board(plant, seed=seed, level="registers", core=speed) as board:
+    with Board(plant, seed=seed, level="registers", core=replace(core, cycles_per_instruction=1.0)) as board:
         for state in STATES:
             _set_up(board, state)
             trace = ChipTrace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
@@ -158,16 +158,17 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    counts = instructions(args.core, PlantConfig.load(args.plant), args.seed)
-    if args.measured is None:
-        each = CoreSpeed.load(args.core).cycles_per_instruction
+    core = CoreSpeed.load(args.core)
+    with _about(args.measured):
+        measured = None if args.measured is None else _widths(args.measured)
+    counts = instructions(core, PlantConfig.load(args.plant), args.seed)
+    if measured is None:
+        each = core.cycles_per_instruction
         rows = [Row(s, h, count, each * count) for s, handlers in counts.items() for h, count in handlers.items()]
         print(_table(rows, each))
         return 0
-    try:
-        rows, cycles = compare(_widths(args.measured), counts)
-    except ValueError as error:
-        raise ValueError(f"{args.measured}: {error}") from None
+    with _about(args.measured):
+        rows, cycles = compare(measured, counts)
     print(_table(rows, cycles))
     write_file(args.core, with_cycles(args.core, cycles))
     print(f"cycles_per_instruction = {cycles:.2f} in {args.core}")
@@ -175,6 +176,15 @@ def _run(args: argparse.Namespace) -> int:
         print(f"poor fit: the deviation of a width is above {SPREAD:.0%}")
         return 1
     return 0
+
+
+@contextmanager
+def _about(path: Path) -> Iterator[None]:
+    """Context of the use of a file: a `ValueError` gets its name."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def _widths(path: Path) -> dict[str, dict[str, float]]:
