@@ -18,6 +18,7 @@ import numpy as np
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.utilities import remove_ros_args
+from servo_measurement.step_response import measure_step, rms
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.output_file import write_file
@@ -27,7 +28,6 @@ from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 from servo_bridge.client import CommandError, ros_session
 from servo_bridge.demo_client import ServoClient
 from servo_bridge.demo_report import PathRow, Residual, Row, passed, path_table, report, table
-from servo_bridge.move_metrics import measure_move, rms
 from servo_bridge.path_metrics import measure_path
 from servo_bridge.trajectory.path import Path as Motion
 from servo_bridge.trajectory.shapes import lissajous
@@ -290,7 +290,7 @@ class Demo:
             prefix = axis_name(axis)
             ticks, position, reference = client.since(tick, ["tick", f"{prefix}.position", f"{prefix}.position_ref"])
             time = (ticks - tick) * (PERIOD_NS * 1e-9)
-            figures = measure_move(time, position, target, self._tolerance, reference=reference)
+            figures = measure_step(time, position, target, self._tolerance, reference=reference)
             self.rows.append(Row(title, client.joints[axis], figures, residuals[axis]))
             settled = "did not settle" if figures.settling_time is None else f"settled in {figures.settling_time:.3f} s"
             error = figures.error / TURN * COUNTS_PER_TURN

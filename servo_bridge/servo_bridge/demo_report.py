@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from servo_measurement.step_response import StepFigures
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_bridge.move_metrics import MoveFigures
 from servo_bridge.path_metrics import PathFigures
 
 _COUNTS = COUNTS_PER_TURN / (2.0 * math.pi)
@@ -40,7 +40,7 @@ class Row:
 
     move: str
     axis: str
-    figures: MoveFigures
+    figures: StepFigures
     residual: Residual | None
 
 

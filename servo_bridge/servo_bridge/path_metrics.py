@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_measurement.step_response import rms
 from servo_msgs_py.units import PERIOD
 
-from servo_bridge.move_metrics import rms
 from servo_bridge.trajectory.path import Path
 
 Series = NDArray[np.float64]

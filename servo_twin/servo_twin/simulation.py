@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_measurement.step_response import overshoot, settling_time
 from servo_msgs_py.board_port import BoardPort, place, reached, word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
@@ -91,7 +92,6 @@ def move(
     tolerance : int
         Permitted distance from the target after settling [counts].
     """
-    start = {axis: board.read_words(f"{axis_name(axis)}.position")[0] for axis in targets}
     raw = board.read_words("cmd.position")
     for axis, target in targets.items():
         raw[axis] = target
@@ -99,23 +99,19 @@ def move(
         raw[axis] = board.read_words(f"{axis_name(axis)}.position")[0]
     board.write_raw("cmd.position", raw)
     log = record(board, seconds)
-    return [_measure(board, log, axis, start[axis], target, tolerance) for axis, target in targets.items()], log
+    return [_measure(board, log, axis, target, tolerance) for axis, target in targets.items()], log
 
 
-def _measure(board: Board, log: NDArray[np.void], axis: int, start: int, target: int, tolerance: int) -> MoveResult:
+def _measure(board: Board, log: NDArray[np.void], axis: int, target: int, tolerance: int) -> MoveResult:
     name = axis_name(axis)
-    position = np.asarray(log[f"{name}.position"], dtype=np.int64)
-    direction = 1 if target >= start else -1
-    outside = np.nonzero(np.abs(position - target) > tolerance)[0]
-    arrived = outside.size == 0 or outside[-1] + 1 < position.size
+    position = np.asarray(log[f"{name}.position"], dtype=np.float64)
     si = board.si(log)
-    settling = float(si.time[outside[-1] + 1] - si.time[0]) if outside.size and arrived else (0.0 if arrived else None)
     return MoveResult(
         name,
         target,
         int(position[-1]),
-        max(int((direction * (position - target)).max()), 0),
-        settling,
+        int(overshoot(position, target)),
+        settling_time(si.time - si.time[0], position - target, tolerance),
         int(np.abs(position[-position.size // 4 :] - target).max()),
         float(np.abs(si[f"{name}.speed"]).max()),
         float(np.abs(si[f"{name}.i_q"]).max()),

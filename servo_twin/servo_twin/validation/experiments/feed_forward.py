@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_measurement.step_response import overshoot
 from servo_msgs_py.board_port import word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
@@ -80,7 +81,7 @@ def measure(recording: Trace, target: int, plant: PlantConfig, axis: int) -> Mov
     displacement = displacement_at(recording, plant, axis, target, ARRIVED)
     error = float(np.abs(recording["position_ref"] - shaft_counts(recording)).max())
     settling = rig.settling_time(recording, target, ARRIVED + displacement, 0.0)
-    return Move(recording, error, rig.overshoot(recording, target), settling, displacement)
+    return Move(recording, error, overshoot(recording["position"], target), settling, displacement)
 
 
 def travel(

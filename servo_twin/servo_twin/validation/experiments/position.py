@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_measurement.step_response import overshoot
 from servo_msgs_py.board_port import read_axis, word, write_axis, write_word
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
@@ -64,7 +65,7 @@ def measure(recording: Trace, target: int, ramp_end: float, plant: PlantConfig, 
     displacement_range = displacement(recording, plant, axis, position=True)[-last.size :]
     return Move(
         recording,
-        overshoot=rig.overshoot(recording, target),
+        overshoot=overshoot(recording["position"], target),
         cycle=float(np.ptp(last)),
         error=float(np.abs(last - target).mean()),
         settling=rig.settling_time(recording, target, COUNTS_MAX + inverter_displacement, ramp_end),

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_measurement import step_response
 from servo_msgs_py.board_port import active, choose, reached, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
@@ -264,22 +265,7 @@ def until(board: Board, what: str, holds: Callable[[], bool], seconds: float, st
     raise SimulationError(f"timeout after {seconds:g} s: {what}; {states}")
 
 
-def settled_from(recording: Trace, signal: NDArray[np.float64], low: float, high: float) -> float | None:
-    """Time from which a signal stays within low .. high [s]; None: it does not."""
-    outside = np.nonzero((signal < low) | (signal > high))[0]
-    if outside.size == 0:
-        return 0.0
-    last = int(outside[-1])
-    return float(recording.time[last]) if last + 1 < recording.time.size else None
-
-
 def settling_time(recording: Trace, target: float, within: float, since: float) -> float | None:
-    """Settling time from `since` until the position stays within `within` counts of a target [s]; None: it does not."""
-    time = settled_from(recording, recording["position"], target - within, target + within)
-    return None if time is None else max(time - since, 0.0)
-
-
-def overshoot(recording: Trace, target: float) -> float:
-    """Largest overshoot of a move that starts with the recording [counts]."""
-    direction = 1.0 if target >= recording["position"][0] else -1.0
-    return max(float((direction * (recording["position"] - target)).max()), 0.0) + 0.0
+    """Time from `since` to the last sample more than `within` counts from a target [s]; None: it does not settle."""
+    time = step_response.settling_time(recording.time, recording["position"] - target, within)
+    return None if time is None else max(time - recording.step - since, 0.0)
