@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.figure import write_figure
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import program
 from servo_msgs_py.table_text import aligned
@@ -22,7 +24,7 @@ from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import FAST_LEVEL, add_level_option, chosen_level
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
-from servo_twin.runs import replay_report
+from servo_twin.runs import replay_report, spectrum, steps
 from servo_twin.runs.alignment import FIT, RESET, START, shift_of
 from servo_twin.runs.compare import Compared, compare, table
 from servo_twin.runs.compare_output import Picture, RerunFile
@@ -36,6 +38,8 @@ from servo_twin.servo_config import ServoConfig, servo_table
 
 DIVERGENCE, BAD_INPUT = 1, 2
 _RECORDING = ".mcap or .db3 file, or folder of a bag"
+_CURVES = ".mcap, bag, .rrd of the viewer, .csv of servo-tool record"
+_NAMESPACE = "of the bridge in a recording (default: /servo)"
 _PICTURES = (".png", ".svg", ".pdf")
 _OUTPUTS: Mapping[str, type[McapOutput | RrdOutput]] = {".mcap": McapOutput, ".rrd": RrdOutput}
 
@@ -68,9 +72,7 @@ def parser() -> argparse.ArgumentParser:
         help="name the largest differences between runs",
         description="Compares runs with the first one. Exit status: 0 within noise, 1 beyond it, 2 wrong input.",
     )
-    comparer.add_argument(
-        "runs", type=Path, nargs="+", metavar="RUN", help=".mcap, bag, .rrd of the viewer, .csv of servo-tool record"
-    )
+    comparer.add_argument("runs", type=Path, nargs="+", metavar="RUN", help=_CURVES)
     comparer.add_argument(
         "--at",
         default=FIT,
@@ -80,6 +82,37 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_common_options(comparer, ".png, .svg, .pdf or .rrd")
     comparer.set_defaults(run_command=_compare)
+    stepper = verbs.add_parser(
+        "steps",
+        help="rise, settling, overshoot and lag of every step and move of a run",
+        description="Finds every change of a set-point between two rests and measures how the shaft follows: position "
+        "where it is controlled, else speed. Exit status: 0 all settled, 1 one did not, 2 wrong input.",
+    )
+    stepper.add_argument("run", type=Path, metavar="RUN", help=_CURVES)
+    stepper.add_argument("--namespace", default="", help=_NAMESPACE)
+    stepper.add_argument(
+        "--band",
+        type=argument.positive,
+        metavar="VALUE",
+        help=f"half width of the band of arrival [rad] or [rad/s] (default: {100 * steps.BAND:g} %% of each step)",
+    )
+    stepper.add_argument("--json", action="store_true", help="print the result as JSON, SI units")
+    stepper.add_argument("-o", "--output", type=argument.picture, metavar="FILE", help="picture of the longest steps")
+    stepper.set_defaults(run_command=_steps)
+    analyser = verbs.add_parser(
+        "spectrum",
+        help="amplitude spectrum of a variable of a run",
+        description="Averages the spectrum of a variable and names its lines, at constant speed also in periods per "
+        "turn of the shaft. Exit status: 0 success, 2 wrong input.",
+    )
+    analyser.add_argument("run", type=Path, metavar="RUN", help=_CURVES)
+    analyser.add_argument("variable", metavar="VARIABLE", help="as axis1.speed")
+    analyser.add_argument("--namespace", default="", help=_NAMESPACE)
+    for name, what in (("--start", "begin"), ("--end", "end")):
+        analyser.add_argument(name, type=argument.finite, metavar="SECONDS", help=f"{what} (default: of the run)")
+    analyser.add_argument("--json", action="store_true", help="print the lines as JSON")
+    analyser.add_argument("-o", "--output", type=argument.picture, metavar="FILE", help="picture")
+    analyser.set_defaults(run_command=_spectrum)
     exporter = verbs.add_parser(
         "export",
         help="write the tables of a recording as CSV or Parquet files",
@@ -109,7 +142,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_common_options(verb: argparse.ArgumentParser, outputs: str) -> None:
-    verb.add_argument("--namespace", default="", help="of the bridge in a recording (default: /servo)")
+    verb.add_argument("--namespace", default="", help=_NAMESPACE)
     verb.add_argument(
         "--thresholds", type=Path, metavar="FILE", help="noise of a healthy pair, from `servo_twin calibrate`"
     )
@@ -193,6 +226,35 @@ def _replay(args: argparse.Namespace) -> int:
     if not replayed.stretches:
         return BAD_INPUT
     return DIVERGENCE if replayed.first is not None else 0
+
+
+def _steps(args: argparse.Namespace) -> int:
+    found = steps.steps_of(curves_of(args.run, args.namespace), args.band)
+    if not found:
+        raise ValueError(f"{args.run} has no step: no set-point changes between two rests")
+    if args.json:
+        print(json.dumps([steps.document(step) for step in found], indent=2))
+    else:
+        print("\n".join(aligned(steps.table(found), "><<>")))
+    if args.output:
+        write_figure(steps.picture(found), args.output)
+    return DIVERGENCE if any(step.figures.settling_time is None for step in found) else 0
+
+
+def _spectrum(args: argparse.Namespace) -> int:
+    run = curves_of(args.run, args.namespace)
+    found = spectrum.spectrum_of(run, args.variable, args.start, args.end)
+    known = Catalogue.load().variables.get(args.variable)
+    unit = known.unit if known else ""
+    if args.json:
+        print(json.dumps([asdict(line) for line in found.lines], indent=2))
+    elif found.lines:
+        print("\n".join(aligned(spectrum.table(found, unit), ">")))
+    else:
+        print(f"no line from {found.frequency[3]:.2g} to {found.frequency[-1]:.4g} Hz")
+    if args.output:
+        write_figure(spectrum.picture(found, unit), args.output)
+    return 0
 
 
 def _export(args: argparse.Namespace) -> int:
