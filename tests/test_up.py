@@ -23,6 +23,8 @@ from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, executable
 from servo_twin.up import Stack, _run_file, main, parser
+from servo_twin.view.layouts import plots
+from servo_twin.view.scene import SET_POINT
 
 from servo_twin import up as up_module
 
@@ -160,6 +162,9 @@ def test_demonstration_moves_records_and_draws_where_board_time_is_slow(tmp_path
     assert {"/servo/snapshot", "/servo/commands_applied", "/twin/residual", "/rosout"} <= {
         each.topic for each in records
     }
+    # A layout names what a recording has; only the set-points have to be asked for.
+    curves = [curve for column in plots(["axis1", "axis2"]) for plot in column for curve in plot.curves]
+    assert {curve.topic for curve in curves if curve.source != SET_POINT} <= {each.topic for each in records}
     info = run_info(string_of([each.data for each in records if each.topic == "/servo/run_info"][-1]))
     assert info.virtual_board is not None
     assert (info.virtual_board.level, info.virtual_board.seed, len(info.configuration)) == ("ideal", 1, 2)

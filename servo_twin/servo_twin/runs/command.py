@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.figure import write_figure
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import program
@@ -31,10 +31,11 @@ from servo_twin.runs.compare_output import Picture, RerunFile
 from servo_twin.runs.curves import curves_of
 from servo_twin.runs.divergence import noise_bands
 from servo_twin.runs.export import FORMATS, export
-from servo_twin.runs.recorded import RecordedRun
+from servo_twin.runs.recorded import DEFAULT_NAMESPACE, RecordedRun
 from servo_twin.runs.replay import Replay, WhatIf, model_of
 from servo_twin.runs.replay_output import McapOutput, RrdOutput
 from servo_twin.servo_config import ServoConfig, servo_table
+from servo_twin.view import layouts
 
 DIVERGENCE, BAD_INPUT = 1, 2
 _RECORDING = ".mcap or .db3 file, or folder of a bag"
@@ -113,6 +114,30 @@ def parser() -> argparse.ArgumentParser:
     analyser.add_argument("--json", action="store_true", help="print the lines as JSON")
     analyser.add_argument("-o", "--output", type=argument.picture, metavar="FILE", help="picture")
     analyser.set_defaults(run_command=_spectrum)
+    layouter = verbs.add_parser(
+        "layout",
+        help="layout of the plots of both axes for PlotJuggler or Foxglove",
+        description="Writes a layout with position, speed, current and residual of both axes over the topics of bridge "
+        "and twin.",
+    )
+    layouter.add_argument(
+        "-o",
+        "--output",
+        type=argument.output_file,
+        required=True,
+        metavar="FILE",
+        help=".xml: PlotJuggler, .json: Foxglove",
+    )
+    layouter.add_argument("--namespace", default=DEFAULT_NAMESPACE, help="of the bridge (default: %(default)s)")
+    layouter.add_argument("--twin", default="/twin", metavar="NAMESPACE", help="of the twin (default: %(default)s)")
+    layouter.add_argument(
+        "--joints",
+        nargs=AXES,
+        default=[axis_name(axis) for axis in range(AXES)],
+        metavar="NAME",
+        help="names of the joints, if the bridge has others than axis1 axis2",
+    )
+    layouter.set_defaults(run_command=_layout)
     exporter = verbs.add_parser(
         "export",
         help="write the tables of a recording as CSV or Parquet files",
@@ -254,6 +279,14 @@ def _spectrum(args: argparse.Namespace) -> int:
         print(f"no line from {found.frequency[3]:.2g} to {found.frequency[-1]:.4g} Hz")
     if args.output:
         write_figure(spectrum.picture(found, unit), args.output)
+    return 0
+
+
+def _layout(args: argparse.Namespace) -> int:
+    _check_suffixes([args.output], list(layouts.FORMATS))
+    namespaces = ["/" + name.strip("/") for name in (args.namespace, args.twin)]
+    columns = layouts.plots(args.joints, *namespaces)
+    write_file(args.output, layouts.FORMATS[args.output.suffix](columns, args.joints))
     return 0
 
 
