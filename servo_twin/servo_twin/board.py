@@ -69,10 +69,11 @@ class Firmware(NamedTuple):
         return hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
 
 
-_FIRMWARE: Final[Mapping[Level, Firmware]] = {
+FIRMWARE: Final[Mapping[str, Firmware]] = {
     "registers": Firmware(_registers_module.ffi, _registers_module.lib, _registers_module.__file__),
     "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib, _ideal_module.__file__),
 }
+"""Build of this checkout by level."""
 
 FLASH_BYTES: Final = int(_ideal_module.lib.board_flash_size())
 """Size of `Board.flash_image`."""
@@ -225,7 +226,7 @@ class Board:
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
         self.level = chosen_level(level)
-        self.firmware = firmware or _FIRMWARE[self.level]
+        self.firmware = firmware or FIRMWARE[self.level]
         self._ffi, self._lib = self.firmware.ffi, self.firmware.lib
         self.plant = plant or PlantConfig.load()
         self._seed = seed

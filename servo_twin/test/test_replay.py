@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from servo_msgs_py.run_file.reader import RunReader
 from servo_tuning.reading import SERVO_TOML
-from servo_twin.board import Board
+from servo_twin.board import FIRMWARE, Board
 from servo_twin.diagnosis.board_pair import Motion
 from servo_twin.plant import PlantConfig
 from servo_twin.runs.command import main
@@ -205,6 +205,11 @@ def test_another_build_is_taken_from_its_checkout(
     equal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     checkout = Path(servo_twin.__file__).parents[2]
-    replay(equal, capsys, "--firmware", str(checkout), status=0)
+    assert replay(equal, capsys, "--firmware", str(checkout), status=0)["other_build"] is None
+    other = tmp_path / "_native.so"
+    other.write_bytes(Path(FIRMWARE["ideal"].file).read_bytes() + b"other")  # the same code with another hash
+    result = replay(equal, capsys, "--firmware", str(other), status=0)
+    assert result["verdict"].startswith("another build; identical bit for bit")
+    assert result["notes"][0] == result["other_build"]
     assert main(["replay", str(equal), "--firmware", str(tmp_path)]) == 2
     assert "run `make build` there" in capsys.readouterr().err

@@ -12,11 +12,12 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.run_file.reader import Record
+from servo_msgs_py.run_file.run_info import VirtualBoard
 from servo_msgs_py.text_file import parse_toml
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
-from servo_twin.board import Board, Firmware
+from servo_twin.board import FIRMWARE, Board, Firmware
 from servo_twin.diagnosis.monitor import LocatedFinding
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
 from servo_twin.level import FAST_LEVEL, Level
@@ -57,6 +58,7 @@ class Model:
     exact: bool  # equal boards give equal numbers: the run is compared bit for bit
     keeps_configuration: bool  # recorded configuration blocks are repeated
     firmware: Firmware | None = None  # another build; None: that of this checkout
+    other_build: str = ""  # how it differs from the recorded build, for people; empty: equal, or not known
     notes: tuple[str, ...] = ()  # why it may differ from the recorded board; for people
 
     def board(self) -> Board:
@@ -98,7 +100,19 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
         exact,
         what_if.servo is None,
         what_if.firmware,
+        "" if virtual is None else _other_build(virtual, what_if.firmware),
         tuple(notes),
+    )
+
+
+def _other_build(recorded: VirtualBoard, firmware: Firmware | None) -> str:
+    """How a build differs from the recorded one; empty if it does not, or the hash of the recorded one is not known."""
+    own = FIRMWARE.get(recorded.level) if firmware is None else firmware if recorded.level == FAST_LEVEL else None
+    if own is None or not recorded.build or recorded.build == (build := own.build):
+        return ""
+    return (
+        f"recorded with another build of firmware and model ({recorded.build[:8]}, here {build[:8]}); "
+        "--firmware takes the checkout of the recorded one"
     )
 
 
@@ -138,6 +152,7 @@ class Replayed:
     before: Estimates = field(default_factory=dict)  # of the plant before `first`
     after: Estimates = field(default_factory=dict)  # and at the end
     findings: list[LocatedFinding] = field(default_factory=list)  # changes of the plant at the end
+    other_build: str = ""  # as `Model.other_build`
     notes: list[str] = field(default_factory=list)  # what could not be replayed, and why
 
     @property
@@ -282,7 +297,8 @@ class Replay:
         if result.first is None and result.findings:  # seen by the equations only, such as a small change of the supply
             result.first = min(one.finding.since for one in result.findings)
         result.before, result.after = divergence.before, divergence.monitor.estimates()
-        result.notes = [*self._run.contents.missing, *self._model.notes]
+        result.other_build = self._model.other_build
+        result.notes = [*filter(None, [self._model.other_build]), *self._run.contents.missing, *self._model.notes]
         result.notes += [
             f"{text}{f' ({count} messages)' if count > 1 else ''}" for text, count in self._troubles.items()
         ]

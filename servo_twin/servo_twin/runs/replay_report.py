@@ -17,6 +17,10 @@ _ROWS: Final = 12  # variables in the table
 
 def verdict(replayed: Replayed) -> str:
     """What became of the run, in one line."""
+    return f"another build; {_outcome(replayed)}" if replayed.other_build else _outcome(replayed)
+
+
+def _outcome(replayed: Replayed) -> str:
     how = "bit for bit" if all(stretch.exact for stretch in replayed.stretches) else "within noise"
     if not replayed.stretches:
         return "nothing was compared"
@@ -130,6 +134,7 @@ def document(replayed: Replayed) -> dict[str, Any]:
             for one in replayed.findings
         ],
         "controller": replayed.controller or None,
+        "other_build": replayed.other_build or None,
         "notes": replayed.notes,
     }
 
