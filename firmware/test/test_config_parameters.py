@@ -97,7 +97,7 @@ def test_a_parameter_added_to_the_table_is_in_every_list_of_the_firmware(tmp_pat
         ('default = "all"', "", r"param\.faults_enabled: default: '' is not a number"),
         ('default = "NONE"', 'default = "SPEED"', r"param\.monitor: default: 'SPEED' is not a number"),
         ('default = "NONE"', 'default = "99"', r"param\.monitor: 99 is outside"),
-        ('"axis.speed_limit"', '"board.host_timeout"', r"param\.speed_limit: .* of the board has no default"),
+        ('"board.command_timeout"', '"axis.speed_limit"', r"param\.command_timeout: .* of the axis has no default"),
         ('count = "analog_outs"', "count = 2", r"param\.monitor: the count of a parameter is one of axes, analog_outs"),
         ('count = "analog_outs"', 'count = "outs"', r"param\.monitor: unknown count 'outs'"),
         ('path = "parameter.monitor"', 'path = "parameter.shown"', r"param\.monitor: .* is parameter\.monitor"),

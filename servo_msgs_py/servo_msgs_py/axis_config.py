@@ -6,6 +6,7 @@ number the members in the order of the table and compute the checksum of a block
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import FORMATS, Catalogue
-from servo_msgs_py.quantity import Quantity
+from servo_msgs_py.quantity import Format, Quantity
 from servo_msgs_py.stop_categories import REFUSED
 from servo_msgs_py.text_file import read_toml
 
@@ -29,7 +30,6 @@ class Member(Quantity):
 
     bits: bool  # whether it is a set of flags; the largest raw number has all permitted bits set
     live: bool  # whether it may be changed during motion
-    fraction_bits: int  # bits after the binary point of the fraction of its full scale
 
     def accepts(self, raw: int) -> bool:
         """Whether the board accepts a raw number."""
@@ -190,22 +190,26 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
     }  # fmt: skip
     if unknown := set(entry) - known:
         raise AxisConfigError(f"{path}: unknown key {', '.join(sorted(unknown))}")
-    if entry.get("type") not in FORMATS:
-        raise AxisConfigError(f"{path}: no type, and no format that contains one")
-    format_ = FORMATS[entry["type"]]
+    parameter = next((v for v in catalogue.variables.values() if v.default == f"axis.{path}"), None)
+    if "type" in entry and entry["type"] in FORMATS:
+        type_ = FORMATS[entry["type"]]
+        format_ = Format(type_.size, type_.signed, entry.get("bits", 0))
+        full, unit = _scale(path, entry.get("scale", ""), catalogue)
+        lsb = math.ldexp(full, -format_.fraction_bits)
+    elif parameter is not None and "type" not in entry:
+        format_, lsb, unit = parameter.format, parameter.lsb, parameter.unit
+    else:
+        raise AxisConfigError(f"{path}: no type, no format that contains one, and no parameter with this default")
     low, high = entry.get("minimum", 0), entry.get("maximum", 0)
-    for parameter in catalogue.variables.values():
-        if parameter.default == f"axis.{path}":
-            raw_low, high = parameter.raw_range
-            low = entry.get("minimum", raw_low)
+    if parameter is not None:  # a default that its parameter does not accept could not be restored from the flash
+        raw_low, raw_high = parameter.raw_range
+        low, high = max(entry.get("minimum", raw_low), raw_low), min(entry.get("maximum", raw_high), raw_high)
     if "fixed" in entry:
         low = high = entry["fixed"]
     if "answer" in entry:
         high = sum(f.mask for f in catalogue.flags["faults"] if entry["answer"] not in REFUSED.get(f.name.lower(), {}))
     if not format_.low <= low <= high <= min(format_.high, (1 << 31) - 1):
-        raise AxisConfigError(f"{path}: the range {low} .. {high} does not fit {entry['type']} and int32_t")
-    full, unit = _scale(path, entry.get("scale", ""), catalogue)
-    lsb = full * 2.0 ** -entry.get("bits", 0)
+        raise AxisConfigError(f"{path}: the range {low} .. {high} does not fit its format and int32_t")
     return Member(
         name=path,
         unit=unit,
@@ -215,7 +219,6 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
         lsb=lsb,
         bits="answer" in entry,
         live=entry.get("live", False),
-        fraction_bits=entry.get("bits", 0),
     )
 
 

@@ -55,7 +55,7 @@ def fixed_point(name: str, fraction_bits: int, low: int, high: int) -> FixedPoin
 def member_format(path: str) -> FixedPoint:
     """Format and range of a member of the configuration block, as in ``axis_config.toml``."""
     member = AxisConfigTable.load().members[path]
-    return fixed_point(path, member.fraction_bits, *member.raw_range)
+    return fixed_point(path, member.format.fraction_bits, *member.raw_range)
 
 
 GAIN: Final = fixed_point("gain_t", 24, -(2**31), 2**31 - 1)

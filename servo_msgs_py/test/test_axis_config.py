@@ -65,6 +65,18 @@ def test_values_have_units() -> None:
     assert members["encoder.pole_pairs"].shown(2) == "2"
 
 
+def test_a_parameter_accepts_every_default() -> None:
+    linked = 0
+    for parameter in Catalogue.load().variables.values():
+        sign, _, path = parameter.default.partition("axis.")
+        if path:
+            linked += 1
+            low, high = parameter.raw_range
+            for raw in TABLE.members[path].raw_range:
+                assert low <= (-raw if sign else raw) <= high, parameter.name
+    assert linked >= 11
+
+
 def test_layout_hash_depends_on_ranges_and_names() -> None:
     table = {"formats": {"f": {"type": "int16", "maximum": 5}}, "members": {"a": {"format": "f"}, "b": {"format": "f"}}}
     catalogue = Catalogue.load()
@@ -90,6 +102,7 @@ def test_layout_hash_depends_on_ranges_and_names() -> None:
         ({"format": "f", "minimum": 6}, "does not fit"),
         ({"format": "f", "scale": "nothing"}, "unknown scale"),
         ({"format": "f", "colour": 1}, "unknown key colour"),
+        ({"format": "parameter"}, "no parameter with this default"),
     ],
 )
 def test_a_table_that_is_not_well_formed_is_refused(entry: dict[str, object], reason: str) -> None:
