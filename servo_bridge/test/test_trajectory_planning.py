@@ -14,7 +14,7 @@ from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import QUICK, AxisReport, Follower, PathEvents
 from servo_bridge.trajectory.line_capacity import PointLine
 from servo_bridge.trajectory.message import TrajectoryMessage, check_size, converted
-from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.waypoints import DURATION_MAX, WAYPOINTS_MAX, Waypoints
 from servo_msgs_py.catalogue import Catalogue
@@ -231,3 +231,6 @@ def test_number_and_duration_of_waypoints_are_bounded() -> None:
         Waypoints.of(["axis1"], np.arange(WAYPOINTS_MAX + 1), np.zeros((WAYPOINTS_MAX + 1, 1)))
     with pytest.raises(TrajectoryError, match=f"more than {DURATION_MAX:g} s"):
         Waypoints.of(["axis1"], [0.0, math.nextafter(DURATION_MAX, math.inf)], np.zeros((2, 1)))
+    start = State.at_rest(np.zeros(1))
+    with pytest.raises(TrajectoryError, match=f"more than {DURATION_MAX:g} s"):  # also a single waypoint
+        path_through(Waypoints.of(["axis1"], [math.nextafter(DURATION_MAX, math.inf)], np.zeros((1, 1))), start)

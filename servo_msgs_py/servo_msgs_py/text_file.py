@@ -18,6 +18,7 @@ BYTES_MAX: Final = 1_000_000
 """Largest file without another bound [bytes]."""
 
 _MARK = "\ufeff"
+_DIGITS: Final = "an integer has more digits than Python converts; write a smaller number"
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -89,6 +90,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise TextFileError(f"{error}; correct the TOML") from None
     except RecursionError:
         raise TextFileError("too many nested brackets; correct the TOML") from None
+    except ValueError:
+        raise TextFileError(_DIGITS) from None
     return table
 
 
@@ -132,6 +135,8 @@ def parse_json(text: str) -> Any:
         raise TextFileError(f"line {error.lineno}: {error.msg} at column {error.colno}; correct the JSON") from None
     except RecursionError:
         raise TextFileError("too many nested brackets; correct the JSON") from None
+    except ValueError:
+        raise TextFileError(_DIGITS) from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:

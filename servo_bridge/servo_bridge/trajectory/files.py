@@ -17,6 +17,9 @@ from servo_bridge.trajectory.waypoints import Waypoints, check_count
 _BYTES_MAX: Final = 32_000_000
 """Largest file: that of `WAYPOINTS_MAX` points of two joints with all fields in JSON [bytes]."""
 
+_SHOWN_MAX: Final = 80
+"""Characters of a wrong value in a message."""
+
 _VELOCITY = "_velocity"
 _POINT = ("time_from_start", "positions", "velocities", "accelerations", "effort")
 
@@ -125,7 +128,9 @@ def _from_json(text: str, known: Sequence[str]) -> Waypoints:
     joints = content["joint_names"]
     for joint in joints:
         if joint not in known:
-            raise TrajectoryError(f"joint {joint!r} in joint_names does not exist; the joints are {', '.join(known)}")
+            raise TrajectoryError(
+                f"joint {_shown(joint)} in joint_names does not exist; the joints are {', '.join(known)}"
+            )
     points: list[Any] = content["points"]
     check_count(len(points))
     for k, point in enumerate(points):
@@ -141,15 +146,31 @@ def _row(k: int, point: dict[str, Any], field: str) -> list[float] | None:
     row: Any = point.get(field, [])
     if isinstance(row, list) and all(_is_number(x) for x in row):
         return row or None
-    raise TrajectoryError(f"{field} of point #{k} is {json.dumps(row)}; write a list of numbers")
+    raise TrajectoryError(f"{field} of point #{k} is {_shown(row)}; write a list of numbers")
 
 
 def _seconds(k: int, time: Any) -> float:
-    parts = (time.get("sec", 0), time.get("nanosec", 0)) if isinstance(time, dict) else (time, 0)
-    if not all(map(_is_number, parts)):
-        raise TrajectoryError(f"time_from_start of point #{k} is {json.dumps(time)}; write seconds, or sec and nanosec")
-    return float(parts[0] + parts[1] * 1.0e-9)
+    if _is_number(time):
+        return float(time)
+    if isinstance(time, dict) and time.keys() == {"sec", "nanosec"}:
+        sec, nanosec = time["sec"], time["nanosec"]
+        if _is_whole(sec) and _is_whole(nanosec) and 0 <= nanosec < 1_000_000_000:
+            return float(sec + 1.0e-9 * nanosec)
+    raise TrajectoryError(
+        f"time_from_start of point #{k} is {_shown(time)}; write seconds as a number, or as an object with the whole "
+        "numbers sec and nanosec (0 to 999999999)"
+    )
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    """Whether it is a number that a float can have; infinities and NaN are refused with the waypoints."""
+    return isinstance(value, float) or _is_whole(value)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 2**63
+
+
+def _shown(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= _SHOWN_MAX else f"{text[:_SHOWN_MAX]} ..."

@@ -6,7 +6,7 @@ import numpy as np
 
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import Path, State
-from servo_bridge.trajectory.waypoints import Array, Waypoints
+from servo_bridge.trajectory.waypoints import Array, Waypoints, check_duration
 
 START_TOLERANCE = 0.01
 """Largest distance between a waypoint at the start time and the joint [rad]: ``allowed_start_tolerance`` of MoveIt."""
@@ -43,8 +43,8 @@ def path_through(
     Raises
     ------
     TrajectoryError
-        If a waypoint is before the start, one at the start is too far from the joint, or a single waypoint leaves no
-        time for a motion.
+        If a waypoint is before the start, one at the start is too far from the joint, the path is too long, or a single
+        waypoint leaves no time for a motion.
     """
     times, positions, velocities = waypoints.times, waypoints.positions, waypoints.velocities
     accelerations, efforts = waypoints.accelerations, waypoints.efforts
@@ -59,6 +59,7 @@ def path_through(
                 return _resting(waypoints, start, start_time)
         after = times > start_time
         times = np.concatenate(([start_time], times[after]))
+        check_duration(times)
         positions = np.vstack((start.position, positions[after]))
         velocities = np.vstack((start.velocity, velocities[after]))
         accelerations = np.vstack((start.acceleration, accelerations[after]))

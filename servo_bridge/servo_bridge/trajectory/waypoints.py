@@ -132,6 +132,11 @@ def _check_times(times: Array) -> None:
             f"time between points {k} and {k + 1} is not strictly increasing ({times[k]:g} s, {times[k + 1]:g} s); "
             "times of points must increase"
         )
+    check_duration(times)
+
+
+def check_duration(times: Array) -> None:
+    """Raise `TrajectoryError` for a longer path than is possible; `times` of its points in order [s]."""
     duration = float(times[-1] - times[0])
     if duration > DURATION_MAX:
         raise TrajectoryError(f"the trajectory takes {duration:g} s, more than {DURATION_MAX:g} s; send it in parts")
