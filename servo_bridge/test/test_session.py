@@ -6,7 +6,10 @@ import pytest
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import RO, RW, FakeEntry, FakeTarget
 from fake_transport import FakeTransport, client_on
+from servo_bridge.wire.refusal import refusal_text
 from servo_bridge.wire.session import BoardMismatchError, Session, connect
+from servo_msgs_py.catalogue import Variable
+from servo_msgs_py.timed_points import POINT_WORDS, TimedPoint, encode_points
 
 
 def session_on(target: FakeTarget) -> Session:
@@ -100,3 +103,22 @@ def test_a_table_that_contradicts_its_hash_is_refused(name: str, change: dict[st
     mismatch = session_on(board).mismatch
     assert isinstance(mismatch, BoardMismatchError)
     assert text in mismatch.reason
+
+
+@pytest.mark.parametrize("variable", [each for each in CATALOGUE.variables.values() if each.writable])
+def test_refused_numbers_are_reported_in_si_with_their_quantity(variable: Variable) -> None:
+    raw = variable.raw_range[1] - 1 if variable.lsb != 1.0 else 1
+    count = POINT_WORDS if variable.name == "cmd.points" else 1
+    text = refusal_text(CATALOGUE, variable, variable.pack([raw] * count), 0)
+    assert text.startswith(variable.name)
+    assert variable.unit in text
+    assert variable.lsb == 1.0 or str(raw) not in text
+
+
+def test_refused_points_are_reported_as_points() -> None:
+    points = [TimedPoint(1, 879_569, 1.5, 0.0), TimedPoint(1, 881_169, 2.0, 0.0)]
+    variable = CATALOGUE["cmd.points"]
+    assert refusal_text(CATALOGUE, variable, variable.pack(encode_points(CATALOGUE, points)), 0) == (
+        "cmd.points: the board refuses 2 timed points, from 1.5 rad of axis2 at 54.9731 s to 2 rad of axis2 at "
+        "55.0731 s of its time"
+    )

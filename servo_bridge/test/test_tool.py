@@ -250,7 +250,7 @@ def test_refusal_of_a_value_by_the_board_reports_its_range(
         (["--raw", "param.i_q_limit[0]", "-0.5"], "param.i_q_limit[0]: -4.125 is outside 0.1 .. 4 A"),
         (
             ["cmd.position[1]", "2e6"],
-            "cmd.position[1]: 2e+06 rad is more than 1.68663e+06 rad away from the shaft; move in steps",
+            "cmd.position[1]: 2000000 rad is more than 1.68663e+06 rad away from the shaft; move in steps",
         ),
     ):
         assert run("set", *arguments) == 1

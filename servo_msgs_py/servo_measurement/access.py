@@ -14,7 +14,7 @@ from servo_msgs_py.board_port import BoardPort
 from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
-from servo_msgs_py.value_text import parse_element
+from servo_msgs_py.value_text import parse_element, value_text
 from servo_tuning.errors import Remedy
 
 RECORDER_BYTES: Final = 7680
@@ -109,7 +109,7 @@ class BoardAccess(BoardPort, Protocol):
         """
         variable = self.catalogue[name]
         if not self.write_words(name, [variable.to_raw(value) for value in values], first):
-            raise MeasurementError(f"{name}: the board refuses {', '.join(f'{value:g}' for value in values)}")
+            raise MeasurementError(f"{name}: the board refuses {value_text(variable, list(values), self.catalogue)}")
 
     def capacity(self, names: Sequence[str]) -> int:
         """Number of samples of these variables in one recording; elements of arrays as ``name[k]``."""

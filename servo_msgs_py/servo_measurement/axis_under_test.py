@@ -16,6 +16,7 @@ from typing import Final
 from servo_msgs_py.board_port import choose, place, reached
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.value_text import value_text
 
 from servo_measurement.access import (
     BoardAccess,
@@ -99,7 +100,9 @@ class AxisUnderTest:
     def write_word(self, variable: str, raw: int) -> None:
         self._check_session(variable)
         if not self.access.write_words(variable, [raw], self.axis):
-            raise MeasurementError(f"{variable}: the board refuses {raw}")
+            value = self.access.catalogue[variable].scale(raw)
+            text = value_text(self.access.catalogue[variable], value, self.access.catalogue)
+            raise MeasurementError(f"{variable}: the board refuses {text}")
 
     @property
     def substate(self) -> str:

@@ -11,6 +11,7 @@ from typing import Final, Protocol
 
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.units import TICK
+from servo_msgs_py.value_text import value_text
 
 _INSTANT: Final = 1e-9  # tolerance of times [s]
 
@@ -111,7 +112,9 @@ def write_axis(board: BoardPort, name: str, axis: int, value: float) -> None:
 def write_word(board: BoardPort, name: str, axis: int, raw: int) -> None:
     """As `write_axis`, with the raw integer."""
     if not board.write_words(name, [raw], axis):
-        raise ValueError(f"{name}: the board refuses {raw} for {axis_name(axis)}")
+        variable = board.catalogue[name]
+        value = value_text(variable, variable.scale(raw), board.catalogue)
+        raise ValueError(f"{name}: the board refuses {value} for {axis_name(axis)}")
 
 
 def choose(board: BoardPort, name: str, axis: int, label: str) -> None:

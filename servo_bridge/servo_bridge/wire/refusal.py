@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from servo_msgs_py.catalogue import Catalogue, Variable
+from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
+from servo_msgs_py.timed_points import decode_points
+from servo_msgs_py.units import PERIOD
+from servo_msgs_py.value_text import value_text
 
 
 def refusal_text(catalogue: Catalogue, variable: Variable, data: bytes, offset: int) -> str:
@@ -20,18 +23,21 @@ def refusal_text(catalogue: Catalogue, variable: Variable, data: bytes, offset: 
         Position of the first one after the address of the variable [bytes].
     """
     raw, first = variable.elements(data), offset // variable.element_size
+    if variable.name == "cmd.points":
+        points = decode_points(catalogue, raw)
+        ends = [f"{p.position:g} rad of {axis_name(p.axis)} at {p.tick * PERIOD:g} s" for p in (points[0], points[-1])]
+        return f"cmd.points: the board refuses {len(points)} timed points, from {ends[0]} to {ends[1]} of its time"
+    if variable.name in ("config.window", "config.header"):
+        return f"{variable.name}: the board refuses {len(raw)} words of a configuration; send it again"
     low, high = variable.raw_range
     for element, number in enumerate(raw, first):
         if not low <= number <= high:
             return variable.outside_text(variable.scale(number), element)
-    values = ", ".join(f"{variable.scale(number):g}" for number in raw)
+    values = value_text(variable, [variable.scale(number) for number in raw], catalogue)
     name = f"{variable.name}[{first}]" if len(raw) < variable.count else variable.name
     if variable.name == "cmd.position":
         reach = variable.scale(catalogue.bits["position"]["REACH"])
-        return (
-            f"{name}: {values} {variable.unit} is more than {reach:g} {variable.unit} away from the shaft; "
-            "move in steps"
-        )
+        return f"{name}: {values} is more than {reach:g} {variable.unit} away from the shaft; move in steps"
     if variable.name in ("param.features", "param.feedback"):
         return (
             f"{name}: the configuration in the board has no values for it, because they were not possible or not "
@@ -42,4 +48,4 @@ def refusal_text(catalogue: Catalogue, variable: Variable, data: bytes, offset: 
             f"{name}: the board still has the configuration of a measurement, and restores its own when the shaft is "
             "at rest; bring it to rest and try again"
         )
-    return f"{name}: the board refuses {values} {variable.unit}".rstrip()
+    return f"{name}: the board refuses {values}; {variable.text}"
