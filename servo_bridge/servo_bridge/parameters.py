@@ -188,6 +188,12 @@ _SETTINGS: Mapping[str, Spec] = {
         "namespace of the bridge; [''] for none",
         read_only=False,
     ),
+    "run_left_out": spec(
+        [""],
+        "topics that a recording of the run leaves out, in the form of run_topics, but relative to the namespace of "
+        "the bridge: ['joint_states', 'var/', '../twin/'] can be computed again from the others; [''] for none",
+        read_only=False,
+    ),
     "tuning": spec(
         "",
         "path of a TOML file in the form of servo.toml, on the computer of the bridge: the configuration of the axes "
@@ -366,7 +372,8 @@ def _run(values: Mapping[str, Any]) -> RunSettings:
     if path and not path.endswith(".mcap"):
         raise ParameterError(f"parameter run_file is {path!r}; write a path that ends with .mcap, or an empty text")
     limits = Limits(values["run_file_size"] * 1e6, values["run_file_duration"] or math.inf)
-    return RunSettings(path, limits, tuple(filter(None, values["run_topics"])))
+    others, left_out = (tuple(filter(None, values[name])) for name in ("run_topics", "run_left_out"))
+    return RunSettings(path, limits, others, left_out)
 
 
 def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assignment, ...]:

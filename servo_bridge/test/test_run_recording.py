@@ -174,10 +174,14 @@ def test_a_full_disk_ends_the_recording_and_not_the_drive(tmp_path: Path) -> Non
     assert "/servo/run_info" in {each.topic for each in RunReader(file).records()}
 
 
-def test_the_end_of_the_bridge_completes_the_recording(tmp_path: Path) -> None:
+def test_the_end_of_the_bridge_completes_the_recording_which_leaves_topics_out(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with Rig(run_file=str(path)) as rig:
+    with Rig(run_file=str(path), run_left_out=["joint_states", "var/", "/servo/state"]) as rig:
         rig.enable_axes()
+        rig.link.sample()
+    names = {record.topic for record in RunReader(path).records()}
+    assert {"/servo/snapshot", "/servo/armed", "/servo/link"} <= names
+    assert not {name for name in names if name in ("/servo/joint_states", "/servo/state") or "/var/" in name}
     assert recorded(path, "/servo/link", DiagnosticStatus)[-1].message == "the bridge was stopped"
     reader = RunReader(path)
     assert list(reader.records())

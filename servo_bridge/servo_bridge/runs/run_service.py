@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,6 +43,7 @@ class RunSettings:
     path: str  # with the codes of strftime; empty: none
     limits: Limits
     topics: tuple[str, ...]  # of other nodes, see the parameter ``run_topics``
+    left_out: tuple[str, ...] = ()  # see the parameter ``run_left_out``
 
 
 class RunService(Part):
@@ -76,6 +77,7 @@ class RunService(Part):
         self._running = False
         self._answer: Future[Outcome] | None = None  # of the call that ends the recording
         self._subscriptions: dict[str, Any] = {}
+        self._left_out: Callable[[str], bool] = lambda name: False
         self._service = DeferredService(node, SetBool, topics.RECORD_RUN, lambda request: self._on_call(request.data))
 
     @property
@@ -92,16 +94,22 @@ class RunService(Part):
             return answered(False, "the parameter run_file is empty; set it to the path of a .mcap file first")
         self._prepare()
         answer: Future[Outcome] = Future()
+        self._left_out = left_out = self._named(self.settings.left_out)
         self._recorder = recorder = RunRecorder(
             Path(time.strftime(self.settings.path)).absolute(),
             self.settings.limits,
-            self._tap.latched,
+            {topic: data for topic, data in self._tap.latched.items() if not left_out(topic.name)},
             Topic(self._node.resolve_topic_name(topics.RUN_LOST), "std_msgs/msg/UInt64"),
             lambda outcome: self._context.post(partial(self._begun, answer, outcome)),
             lambda outcome: self._context.post(partial(self._ended, outcome)),
         )
         self._running = True
-        self._tap.receiver = recorder.add
+
+        def receive(topic: Topic, data: bytes, time_ns: int) -> None:
+            if not left_out(topic.name):
+                recorder.add(topic, data, time_ns)
+
+        self._tap.receiver = receive
         self.look()
         return answer
 
@@ -110,11 +118,9 @@ class RunService(Part):
         if not self._running:
             return
         own = {entity.topic_name for entity in (*self._node.publishers, *self._node.subscriptions)}  # the tap has them
-        beside = self._node.get_namespace().rpartition("/")[0]
-        wanted = [f"{beside}/{name[3:]}" if name.startswith("../") else name for name in self.settings.topics]
+        wanted = self._named(self.settings.topics)
         for name, kinds in self._node.get_topic_names_and_types():
-            found = any(name.startswith(each) if each.endswith("/") else name == each for each in wanted)
-            if found and name not in own and name not in self._subscriptions:
+            if wanted(name) and not self._left_out(name) and name not in own and name not in self._subscriptions:
                 self._subscribe(name, kinds[0])
 
     def close(self) -> None:
@@ -123,6 +129,16 @@ class RunService(Part):
             self._tap.receiver = None
             self._recorder.end()
             self._recorder.join()
+
+    def _named(self, patterns: Sequence[str]) -> Callable[[str], bool]:
+        """Whether an absolute name is one of these topics; see the parameter ``run_topics``."""
+        own = self._node.get_namespace().rstrip("/")
+        beside = own.rpartition("/")[0]
+        names = [
+            f"{beside}/{each[3:]}" if each.startswith("../") else each if each.startswith("/") else f"{own}/{each}"
+            for each in patterns
+        ]
+        return cache(lambda name: any(name.startswith(each) if each[-1] == "/" else name == each for each in names))
 
     def _on_call(self, begin: bool) -> Future[Outcome]:
         if begin:
