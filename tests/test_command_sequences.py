@@ -50,10 +50,6 @@ CASES = {
         Setup(interpolate_from_desired_state=True),
         [Step("goal", 2.5, distance=6.28, time=2.0)],
     ),
-    "velocity controller after a trajectory controller": (
-        Setup(),
-        [Step("activate", controller="velocity"), Step("goal", 1.0, distance=2.0, time=1.0), Step("activate")],
-    ),
     "velocity that its controller has left behind": (
         Setup(),
         [
@@ -108,18 +104,39 @@ def test_a_goal_beyond_a_limit_is_refused_in_one_line() -> None:
     assert len(lines) == 1
 
 
-def test_velocity_controller_turns_the_joint() -> None:
-    steps = [Step("activate", controller="velocity"), Step("goal", 2.0, distance=6.0, time=2.0)]
-    sequence = CommandSequence(Setup(), steps)
-    assert not sequence.run(), sequence.log
-    before, after = sequence.places[-2:]
-    assert abs(after[0] - before[0] - 6.0) < 0.8
-    assert abs(after[1] - before[1] + 6.0) < 0.8
-
-
 def moved(sequence: CommandSequence) -> list[tuple[float, ...]]:
     """Distances of each step [rad]."""
     return [tuple(b - a for a, b in zip(*pair, strict=True)) for pair in pairwise(sequence.places)]
+
+
+@pytest.mark.parametrize("running", [True, False])
+def test_velocity_controller_turns_the_joint_until_a_trajectory_controller_succeeds_it(running: bool) -> None:
+    steps = [
+        Step("activate", controller="velocity"),
+        Step("enable"),
+        Step("goal", 2.0, distance=6.0, time=2.0),
+        Step("activate"),
+        Step("goal", 1.5),
+    ]
+    sequence = CommandSequence(Setup(running=running), steps)
+    assert not sequence.run(), sequence.log
+    _, _, turned, stopped, goal = moved(sequence)
+    assert turned == (pytest.approx(6.0, abs=0.8), pytest.approx(-6.0, abs=0.8))
+    assert max(map(abs, stopped)) < 0.3, "less than 0.1 s"
+    assert goal == pytest.approx((1.0, -1.0), abs=GOAL_ERROR)
+
+
+def test_position_controller_after_a_velocity_controller() -> None:
+    """The velocity stays in the messages."""
+    steps = [
+        Step("activate", controller="velocity"),
+        Step("goal", 0.5, distance=2.0, time=1.0),
+        Step("activate", 0.1, controller="position"),
+        Step("goal", 1.5),
+    ]
+    sequence = CommandSequence(Setup(), steps)
+    assert not sequence.run(), sequence.log
+    assert moved(sequence)[-1] == pytest.approx((1.0, -1.0), abs=GOAL_ERROR)
 
 
 def test_move_beside_an_active_controller_is_carried_out_and_its_next_goal_too() -> None:

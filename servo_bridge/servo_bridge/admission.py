@@ -12,8 +12,9 @@ of a joint only:
 * A velocity or an effort alone is a command at the begin of a train. A train that continues from before the joint was
   released must be zero once.
 * Position and velocity of one message may contradict each other, because one of them is the last command of a
-  controller that has ended: a constant position with a velocity, or a step of the position at velocity zero. The one
-  that has changed last is executed.
+  controller that has ended: a constant position with a velocity, or a step of the position at a constant velocity. The
+  one that has changed last is executed.
+* A path that follows a velocity ends it, also if the path does not join: the controller of the velocity has ended.
 
 A joint is released by a stop, a fault, a lost link and the end of the enabled state. After its admission a train keeps
 the joint until it is released or commanded otherwise.
@@ -108,7 +109,7 @@ class _Train:
     elapsed: float = 0.0  # between the stamps of both [s]
     same: int = 1  # newest messages with the same position
     held: int = 0  # messages with the position before the newest one
-    steps: int = 0  # newest messages whose position changes at velocity zero
+    steps: int = 0  # newest messages that step (`is_step`)
     drive: _Drive = _Drive.PATH
     contradictions: int = 0  # newest messages with the same position and a velocity
     velocity_commanded: bool = False  # whether the velocity has left zero at a constant position, or silence
@@ -123,15 +124,33 @@ class _Train:
         before, position = None if self.before is None else self.before.position, self.point.position
         return 0.0 if before is None or position is None else _distance(before, position, wraps=self.wraps)
 
+    @property
+    def jumps(self) -> bool:
+        """Whether the velocities do not explain the distance of the newest two positions."""
+        before = None if self.before is None else self.before.velocity
+        fastest = max(abs(before or 0.0), abs(self.point.velocity or 0.0))
+        return self.step > 3.0 * fastest * max(self.elapsed, 0.0) + 0.2 * JOIN_DISTANCE
+
+    @property
+    def velocity_is_old(self) -> bool:
+        """Whether the velocity, if any, is that of a controller before the one of the position."""
+        return self.drive is _Drive.POSITION and not self.velocity_commanded
+
+    def is_step(self) -> bool:
+        """Whether only the position of the newest message has changed, at rest or beside an old velocity."""
+        before, point = self.before, self.point
+        if before is None or point.position == before.position:
+            return False
+        if not (point.velocity or before.velocity):
+            return True
+        old = self.velocity_is_old or (self.drive is _Drive.VELOCITY and self.jumps)
+        return old and point.velocity == before.velocity
+
     def find_origin(self) -> None:
         """Update the origin with the newest message: a standstill, or a place that no motion leads to."""
         before, point = self.before, self.point
-        if before is None or before.position is None or point.position is None:
-            self.origin = point.position
-            return
-        fastest = max(abs(before.velocity or 0.0), abs(point.velocity or 0.0))
-        way = 3.0 * fastest * max(self.elapsed, 0.0) + 0.2 * JOIN_DISTANCE
-        if not point.velocity or self.step > way:
+        began = before is None or before.position is None or point.position is None
+        if began or not point.velocity or self.jumps:
             self.origin = point.position
 
 
@@ -152,7 +171,7 @@ class Admitted:
 
     points: dict[int, JointSetPoint] = field(default_factory=dict)  # by axis
     refused: list[NotJoined] = field(default_factory=list)
-    stop: list[int] = field(default_factory=list)  # axes whose stream ends, because its messages contradict themselves
+    stop: list[int] = field(default_factory=list)  # axes whose stream or velocity ends: its messages contradict it
 
 
 class Admission:
@@ -221,12 +240,14 @@ class Admission:
         for number, point in points.items():
             axis, place = self._axes[number], places[number]
             train = self._next(number, point, stamp, released=place.holder is None)
+            follows_velocity = self._follows_velocity(train, place)
             try:
                 chosen = point if command and not point.streamed else self._decide(axis, train, place)
             except NotJoined as error:
                 result.refused.append(error)
-                if train.drive is _Drive.VELOCITY and place.streaming:
+                if follows_velocity or (train.drive is _Drive.VELOCITY and place.streaming):
                     result.stop.append(number)
+                    axis.executed = None
                 continue
             if chosen is None:
                 axis.waiting = self._time, point
@@ -254,23 +275,29 @@ class Admission:
             if released and not axis.released:
                 train.velocity_commanded = train.executed = False
                 train.old = True
+            train.before, train.elapsed = before, stamp - train.stamp
+            train.point, train.time, train.stamp = point, self._time, stamp
+            train.steps = train.steps + 1 if train.is_step() else 0
             if point.position == before.position:
                 train.same += 1
-                train.steps = 0
-                train.contradictions = train.contradictions + 1 if point.velocity else 0
-                if before.velocity == 0.0 and point.velocity:
-                    train.velocity_commanded = True
+                began = before.velocity == 0.0 or train.drive is _Drive.POSITION
+                train.velocity_commanded |= began and bool(point.velocity) and point.velocity != before.velocity
+                contradicts = bool(point.velocity) and not train.velocity_is_old
+                train.contradictions = train.contradictions + 1 if contradicts else 0
             else:
                 train.held, train.same, train.contradictions = train.same, 1, 0
                 train.velocity_commanded = False
-                train.steps = 0 if point.velocity or before.velocity else train.steps + 1
-            train.before, train.elapsed = before, stamp - train.stamp
-            train.point, train.time, train.stamp = point, self._time, stamp
             train.find_origin()
         axis.released = released
         return train
 
     # ---- rules
+    def _follows_velocity(self, train: _Train, place: Place) -> bool:
+        """Whether a path follows a velocity or an effort, whose controller has ended then."""
+        holder = place.holder
+        expires = holder is not None and holder.topic == self._topic and holder.quantity in ("velocity", "effort")
+        return expires and train.point.streamed and (train.before is None or train.drive is _Drive.VELOCITY)
+
     def _decide(self, axis: _Axis, train: _Train, place: Place) -> JointSetPoint | None:
         """Return what is executed of the newest message of a train; None: a position that may be isolated."""
         point = train.point
@@ -294,7 +321,7 @@ class Admission:
             )
         if train.drive is _Drive.POSITION:
             follows = place.holder == Source(self._topic, "position")
-            if follows or place.distance(point.position) > JOIN_DISTANCE:
+            if follows or point.velocity or place.distance(point.position) > JOIN_DISTANCE:
                 return self._position(axis, train, place, point.position)
         self._require_joining(axis, train, place, point.position)
         return point
@@ -409,7 +436,7 @@ def _driven(train: _Train) -> _Drive:
             return _Drive.VELOCITY
         ended = train.drive is _Drive.VELOCITY and not train.velocity_commanded
         return _Drive.PATH if ended else train.drive
-    stepped = train.steps > 1 or (train.steps == 1 and train.step > JOIN_DISTANCE)
+    stepped = train.steps > 1 or (train.steps == 1 and (bool(point.velocity) or train.step > JOIN_DISTANCE))
     return _Drive.POSITION if stepped else _Drive.PATH
 
 

@@ -45,7 +45,7 @@ class Joint:
         self.kinds += [error.kind for error in admitted.refused]
         self.stopped += len(admitted.stop)
         if admitted.stop:
-            self.streaming = False
+            self.streaming, self.velocity = False, 0.0
         for chosen in admitted.points.values():
             self._execute(chosen)
 
@@ -183,6 +183,31 @@ def test_velocity_of_a_controller_under_a_stale_position_is_executed(rate: float
     joint.position = 9.0
     joint.train([*held(9.0, 20), *linear(9.0, 1.0, 0.5, rate)], rate)
     assert joint.executed[-1].streamed
+
+
+@RATES
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_trajectory_controller_ends_the_velocity_of_the_one_before_it(rate: float, alone: bool) -> None:
+    """It holds where the joint was measured, which is behind the moving joint."""
+    joint = Joint()
+    joint.train([*held(0.0, 50), *held(0.0, 50, 5.0)] if not alone else [JointSetPoint(velocity=5.0)] * 50, rate)
+    joint.position = 9.2
+    joint.train(held(9.0, 50), rate)
+    assert joint.stopped == 1
+    assert joint.velocity == 0.0
+    goal = linear(joint.position, 1.0, 0.5, rate)
+    joint.train(goal, rate)
+    assert joint.executed[-len(goal) :] == goal
+
+
+@RATES
+def test_positions_of_a_controller_beside_the_velocity_of_the_one_before_it_are_executed(rate: float) -> None:
+    joint = Joint()
+    joint.train([*held(0.0, 50), *held(0.0, 50, 5.0), *held(2.0, 50, 5.0), *held(2.01, 50, 5.0)], rate)
+    assert {point.position for point in joint.executed[-100:]} == {2.0, 2.01}
+    assert not any(point.velocity for point in joint.executed[-100:])
+    joint.train(held(2.01, 50, 4.0), rate)
+    assert joint.executed[-1] == JointSetPoint(velocity=4.0), "a velocity controller again"
 
 
 @RATES
