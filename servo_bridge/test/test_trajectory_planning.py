@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import TypeVar
 
 import numpy as np
 import pytest
+from servo_bridge.set_points import JointSetPoint
+from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import QUICK, AxisReport, Follower, PathEvents
 from servo_bridge.trajectory.line_capacity import PointLine
 from servo_bridge.trajectory.message import TrajectoryMessage, check_size, converted
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.streamer import Streamer
 from servo_bridge.trajectory.waypoints import DURATION_MAX, WAYPOINTS_MAX, Waypoints
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
@@ -61,16 +64,21 @@ class Rig:
             self.time += SAMPLE * PERIOD
             self.follower.on_sample(self.tick, [AxisReport(place, follows=True) for place in self.references])
 
-    def follow(self, count: int, rate: float = 100.0, noise: float = 0.0) -> None:
+    @property
+    def now(self) -> float:
+        """Board time [s]."""
+        return self.tick * PERIOD
+
+    def follow(self, count: int, rate: float = 100.0, noise: float = 0.0, joints: Sequence[str] = JOINTS) -> None:
         """Request a path of many waypoints."""
 
         def plan(running: Path, now: float) -> Path:
             t = np.arange(1, count + 1) / rate
-            rows = np.stack((1.0 - np.cos(t), np.cos(t) - 1.0), axis=1)
+            rows = np.stack((1.0 - np.cos(t), np.cos(t) - 1.0)[: len(joints)], axis=1)
             rows += noise * np.random.default_rng(1).standard_normal(rows.shape)
-            return path_through(Waypoints.of(JOINTS, now + t, rows), running.state(now), now)
+            return path_through(Waypoints.of(joints, now + t, rows), running.select(joints).state(now), now)
 
-        self.follower.request(JOINTS, plan, self.on, size=count, movable=True)
+        self.follower.request(joints, plan, self.on, size=count, movable=True)
 
 
 def test_long_path_is_planned_beside_the_samples_and_moved_to_its_start() -> None:
@@ -209,6 +217,42 @@ def test_path_that_the_line_does_not_carry_is_refused_with_both_rates() -> None:
     assert "the line carries 200 at 115200 baud" in refusal
     assert "the path needs 29" in refusal  # 300 points/s of both joints
     assert not rig.ends
+
+
+@pytest.mark.parametrize("carried", [True, False])
+@pytest.mark.parametrize("path_first", [True, False])
+def test_a_stream_and_the_path_of_another_joint_share_the_line(carried: bool, path_first: bool) -> None:
+    line = PointLine(
+        0.032 if carried else 0.04, "115200 baud"
+    )  # 250 or 200 points/s: 150 of the path, 100 of the stream
+    rig = Rig(line)
+    limits = Limits(-100.0, 100.0, 400.0, 4000.0, 1.0)
+    streamer = Streamer(DEFAULT_JOINTS, rig.follower, 0.06, line=lambda: line)
+    refused: list[str] = []
+
+    def begin_stream() -> None:
+        try:
+            streamer.require_carried("joint_commands", [1])
+        except TrajectoryError as error:
+            refused.append(str(error))
+            return
+        streamer.take({1: JointSetPoint(0.0, 0.1)}, rig.now, rig.now, [limits] * 2)
+        rig.sample()
+
+    if not path_first:
+        begin_stream()
+    rig.follow(300, 150.0, noise=0.01, joints=("axis1",))
+    while not (rig.ends or rig.refusals):
+        while rig.works:
+            rig.works.pop(0)()
+        rig.sample()
+    if path_first:
+        begin_stream()
+    reasons = rig.refusals + refused
+    assert len(reasons) == (not carried)
+    assert all(
+        "100 points/s of the board beside 1" in each or "the stream of the other joint need" in each for each in reasons
+    )
 
 
 def message(joints: int, points: int) -> TrajectoryMessage:

@@ -25,7 +25,7 @@ from servo_msgs_py.units import PERIOD
 
 from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.line_capacity import QUEUE, PointLine, demand
+from servo_bridge.trajectory.line_capacity import QUEUE, PointLine, busiest_second, demand
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.point_queue import PointQueue
@@ -127,6 +127,7 @@ class _Request:
     takes_over: str
     size: int  # number of waypoints
     movable: bool  # the whole path may be moved in time
+    period: int  # of the points that extend the path [PWM periods]; 0: it is complete
     checked: bool = False  # it has been planned once
     pending: bool = True  # it has neither begun nor ended; read by the thread of the planner
     planning: bool = False  # it is being planned
@@ -141,6 +142,7 @@ class _Axis:
     """Path of one axis and its points that are not sent yet."""
 
     waiting: PointQueue
+    rate: int = 0  # largest number of the planned points in a second
     path: Path | None = None
     request: _Request | None = None  # of the path
     tail: list[TimedPoints] = field(default_factory=list)  # extensions of the path since `whole`
@@ -215,6 +217,7 @@ class Follower:
         takes_over: str = "another trajectory took over",
         size: int = 0,
         movable: bool = False,
+        period: int = 0,
     ) -> None:
         """Follow a path as soon as its axes are ready; pending requests of these axes are replaced when it is checked.
 
@@ -235,6 +238,8 @@ class Follower:
             longer ones in another thread. Without waypoints the path is planned only when it begins.
         movable : bool
             The path of resting joints may be moved in time by whole PWM periods instead of being planned again.
+        period : int
+            Period of the points by which the path will be extended [PWM periods]; 0: it will not.
 
         Raises
         ------
@@ -242,7 +247,7 @@ class Follower:
             If the path of up to `QUICK` waypoints is refused; then nothing is changed.
         """
         axes = tuple(self._joints.index(joint) for joint in joints)
-        request = _Request(axes, plan, start, on, takes_over, size, movable)
+        request = _Request(axes, plan, start, on, takes_over, size, movable, period)
         check = partial(self._checked, request, self.running(), self.now + LEAD)
         if 0 < size <= QUICK:
             check()
@@ -459,11 +464,22 @@ class Follower:
         time = (self._now + round((self._time() - self.now + request.lead) / PERIOD)) * PERIOD
         running = self.running()
         others = [one.waiting.ticks for axis, one in enumerate(self._axes) if axis not in request.axes and one.waiting]
+        periods = self._stream_periods(request.axes)
         work = self._work if request.size > QUICK else at_once
         work(
-            partial(self._plan, request, running, time, others, self._line()),
-            partial(self._take_plan, request, running, self._clock()),
+            partial(self._plan, request, running, time, others, periods, self._line()),
+            partial(self._take_plan, request, running, self._clock(), len(periods)),
         )
+
+    def _stream_periods(self, besides: Collection[int]) -> list[int]:
+        """Periods of the points of all streams of other axes, also of those that have not begun [PWM periods]."""
+        requests = {axis: one.request for axis, one in enumerate(self._axes) if one.request is not None}
+        requests |= {axis: request for request in self._requests for axis in request.axes}
+        return [each.period for axis, each in requests.items() if each.period and axis not in besides]
+
+    def path_rate(self, besides: Collection[int]) -> int:
+        """Largest number of points in a second of the complete paths that other axes follow."""
+        return sum(one.rate for axis, one in enumerate(self._axes) if axis not in besides and one.waiting)
 
     def _plan(
         self,
@@ -471,6 +487,7 @@ class Follower:
         running: Path,
         time: float,
         others: Sequence[NDArray[np.int64]],
+        periods: Sequence[int],
         line: PointLine | None,
     ) -> Planned:
         """Path of a request that begins at a time [s] or later, and its points; beside the points of other axes."""
@@ -483,17 +500,20 @@ class Follower:
         if line is None:
             return Planned(path, points, 0.0)
         own = [each.periods for each in points.values()]
-        need = demand([*own, *others], line)
+        begin, end = (round(each / PERIOD) for each in (path.start_time, path.end_time))
+        streams = [np.arange(begin, end, period) for period in periods]
+        need = demand([*own, *others, *streams], line)
         if need.lead > _LEAD_MAX:
+            subject = "the path and the stream of the other joint need" if streams else "the path needs"
             raise TrajectoryError(
-                f"the path needs {need.rate:.0f} points/s of the board at {need.time:.3g} s after its start, and the "
-                f"line carries {line.rate:.0f} at {line.text} beside the telemetry; use a higher line speed, less "
+                f"{subject} {need.rate} points/s of the board at {need.time:.3g} s after its start, and the line "
+                f"carries {line.rate:.0f} at {line.text} beside the telemetry; use a higher line speed, less "
                 "telemetry, or a smoother path with fewer waypoints per second"
             )
         return Planned(path, points, need.lead)
 
-    def _take_plan(self, request: _Request, running: Path, begin: float, done: Future[Planned]) -> None:
-        """Follow a planned path, or plan it again after the next sample if it is late or its joints have moved."""
+    def _take_plan(self, request: _Request, running: Path, begin: float, streams: int, done: Future[Planned]) -> None:
+        """Follow a planned path, or plan it again after the next sample if it is late or the motion has changed."""
         if request not in self._requests:
             return  # replaced or cancelled in the meantime
         request.planning = False
@@ -507,6 +527,7 @@ class Follower:
         lead_min = max(_LEADS[request.attempt], planned.lead)
         late = path.start_time - self._time() < max(_LEAD_REMAINDER_MIN * lead_min, planned.lead)
         changed = not self._unchanged(request, running, path.start_time)
+        changed |= len(self._stream_periods(request.axes)) > streams
         taken = self._clock() - begin
         if not changed and late and self._can_move(request):
             self._begin(request, _moved(planned, self._time() + lead_min))
@@ -550,6 +571,7 @@ class Follower:
             mine = _after(one, planned.points[joint])
             self._drop_from(one, int(mine.periods[0]))
             self._put(axis, mine, replaces=True)
+            one.rate = 0 if request.period else busiest_second(mine.periods * PERIOD)[0]
             own = path.select([joint])
             one.path = own if one.path is None else spliced(one.path, own, self._now * PERIOD)
             replaced, one.request = one.request, request

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +64,16 @@ class Demand:
     """What points need of a line."""
 
     lead: float  # time from the first write to the first point [s]; infinite: the line is too slow for any
-    rate: float  # largest number of points of all axes in a second
+    rate: int  # largest number of points of all axes in a second
     time: float  # begin of this second, since the first point [s]
+
+
+def busiest_second(due: NDArray[np.floating[Any]]) -> tuple[int, float]:
+    """Largest number of points in a second, and its begin [s]; `due`: increasing times of points [s]."""
+    first = np.searchsorted(due, due - 1.0)
+    counts = np.arange(1, len(due) + 1) - first
+    most = int(np.argmax(counts))
+    return int(counts[most]), float(due[first[most]])
 
 
 def demand(ticks: Sequence[NDArray[np.int64]], line: PointLine) -> Demand:
@@ -88,11 +96,8 @@ def demand(ticks: Sequence[NDArray[np.int64]], line: PointLine) -> Demand:
     step = np.arange(len(due)) / line.rate
     sent = step + np.maximum.accumulate(room - step)  # begin of its transmission, without the first ones
     late = sent + line.write_time + _BOARD_LEAD - due
-    first = np.searchsorted(due, due - 1.0)
-    counts = np.arange(1, len(due) + 1) - first
-    busiest = int(np.argmax(counts))
     lead = math.inf if late.max() > 0.0 else float((step + line.write_time + _BOARD_LEAD - due).max())
-    return Demand(lead, float(counts[busiest]), float(due[first[busiest]]))
+    return Demand(lead, *busiest_second(due))
 
 
 def _room(ticks: NDArray[np.int64]) -> Array:

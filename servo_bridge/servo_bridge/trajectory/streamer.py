@@ -159,7 +159,7 @@ class Streamer:
             self._request_axes(new)
 
     def require_carried(self, source: str, axes: Collection[int]) -> None:
-        """Check that the line carries the points of new streams of some axes beside the present ones.
+        """Check that the line carries the points of new streams of some axes beside the present ones and other paths.
 
         Raises
         ------
@@ -168,13 +168,14 @@ class Streamer:
         """
         self._remove_replaced()
         line, streams = self._line(), self._streams.keys() | set(axes)
-        rate = len(streams) / (STEP_PERIODS * PERIOD)
-        if line is not None and len(streams) > len(self._streams) and rate > line.rate:
+        rate, path_rate = len(streams) / (STEP_PERIODS * PERIOD), self._follower.path_rate(streams)
+        if line is not None and len(streams) > len(self._streams) and rate + path_rate > line.rate:
             joints = ", ".join(self._joints[axis] for axis in sorted(streams))
+            beside = f" beside {path_rate} of the path of the other joint" if path_rate else ""
             raise TrajectoryError(
-                f"{source}: the stream of {joints} needs {rate:.0f} points/s of the board, and the line carries "
-                f"{line.rate:.0f} at {line.text} beside the telemetry; use a higher line speed, less telemetry, or "
-                "send positions without velocities and efforts",
+                f"{source}: the stream of {joints} needs {rate:.0f} points/s of the board{beside}, and the line "
+                f"carries {line.rate:.0f} at {line.text} beside the telemetry; use a higher line speed, less "
+                "telemetry, or send positions without velocities and efforts",
                 kind="the line",
             )
 
@@ -261,7 +262,7 @@ class Streamer:
             if reason == POINTS_REFUSED:
                 self._increase_lead(_REFUSED)
 
-        self._follower.request(joints, plan, PathEvents(begun, refused, abandoned))
+        self._follower.request(joints, plan, PathEvents(begun, refused, abandoned), period=STEP_PERIODS)
 
     def _begin(self, axis: int, position: float, velocity: float, begin: int) -> None:
         """Create the stream of a joint; repeated if the path is planned again for a later begin."""
