@@ -40,12 +40,6 @@ setup(
         # For recordings of servo-tool; rerun does not support Python 3.10.
         "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },
-    entry_points={
-        "console_scripts": [
-            "servo_bridge = servo_bridge.programs:bridge",
-            "servo-tool = servo_bridge.programs:tool",
-            "servo-command = servo_bridge.programs:command",
-            "servo-demo = servo_bridge.programs:demo",
-        ],
-    },
+    # Not console scripts: Ctrl-C in the start of Python would print a traceback.
+    scripts=sorted(glob("scripts/*")),
 )

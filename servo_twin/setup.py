@@ -51,14 +51,6 @@ setup(
         "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },
     cffi_modules=[f"servo_twin/_build_native.py:{module}" for module in MODULES],
-    entry_points={
-        "console_scripts": [
-            "servo_twin = servo_twin.programs:twin",
-            "servo_viewer = servo_twin.programs:viewer",
-            "virtual_board = servo_twin.programs:board",
-            "servo-sim = servo_twin.programs:sim",
-            "servo-twin = servo_twin.programs:runs",
-            "servo-up = servo_twin.programs:up",
-        ],
-    },
+    # Not console scripts: Ctrl-C in the start of Python would print a traceback.
+    scripts=sorted(glob("scripts/*")),
 )

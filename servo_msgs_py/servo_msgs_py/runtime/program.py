@@ -104,6 +104,7 @@ def run(name: str, module: str, *, ros: bool = False) -> int:
         Exit status.
     """
     _install(_end_at_once)  # nothing has begun, so nothing has to be left in order
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)  # blocked by the script of the program
     try:
         if ros:
             import_module("rclpy")
