@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ A = math.exp(-R * T / L)
 B = (1.0 - A) / R
 
 
+OBSERVER: dict[str, object] = {"axis1__feedback": "observer"}
+"""An axis that needs the observer: an encoder axis is not warned of what it does not use."""
 SLIDE: dict[str, object] = {"axis1__observer__pll_i": 1506742.0}
 
 
@@ -209,7 +212,8 @@ def test_loop_without_torque_feed_forward_has_less_phase_margin_at_low_speed() -
 
 
 def test_gains_unstable_with_another_winding_cause_a_warning() -> None:
-    it = axis(axis1__observer__k_1=-5200.0, axis1__observer__k_2=3.1e5)
+    gains: dict[str, object] = {"axis1__observer__k_1": -5200.0, "axis1__observer__k_2": 3.1e5}
+    it = axis(**gains, **OBSERVER)
     assert any(
         "with R x 1 and L x 0.5 the gains of the observer are unstable" in finding
         for finding in map(str, findings(it, assess(it)))
@@ -253,13 +257,13 @@ def test_a_sign_current_near_the_limit_is_refused_with_both_remedies() -> None:
 
 def test_a_resistance_error_above_the_back_emf_causes_a_warning() -> None:
     """25 % of 2.2 ohm at 4 A: 2.2 V, the back-EMF of 0.0308 V s at 71.4 rad/s, 23 % of the speed limit."""
-    it = axis(axis1__motor__r_s=2.2)
+    it = axis(axis1__motor__r_s=2.2, **OBSERVER)
     assert not it.unusable
     found = [finding for finding in map(str, findings(it, assess(it))) if "exceeds the back-EMF" in finding]
     assert len(found) == 1
     assert "axis1.motor.r_s = 2.2" in found[0]
     assert "below 71.4 rad/s" in found[0]
-    cured = axis(axis1__motor__r_s=2.2, axis1__limits__current=3.0, axis1__rotor_search__current=3.0)
+    cured = axis(axis1__motor__r_s=2.2, axis1__limits__current=3.0, axis1__rotor_search__current=3.0, **OBSERVER)
     assert not any("exceeds the back-EMF" in finding for finding in map(str, findings(cured, assess(cured))))
 
 
@@ -268,6 +272,7 @@ LITTLE_FLUX: dict[str, object] = {
     "axis1__motor__inertia": 2e-6,
     "axis1__motor__rotor_inertia": 1e-6,
 }
+BLIND: dict[str, object] = {**LITTLE_FLUX, **OBSERVER}
 
 
 def test_a_flux_too_small_for_the_blocked_shaft_test_causes_a_warning() -> None:
@@ -283,24 +288,35 @@ def test_a_flux_too_small_for_the_blocked_shaft_test_causes_a_warning() -> None:
 
 def test_a_back_emf_too_small_for_the_amplitude_correction_causes_a_warning() -> None:
     """0.35 V / (2 x 0.004 V s) = 43.7 rad/s, 14 % of the speed limit."""
-    it = axis(**LITTLE_FLUX)
+    it = axis(**BLIND)
     found = [finding for finding in map(str, findings(it, assess(it))) if "pll_size" in finding]
     assert len(found) == 1
     assert "speed error of 43.7 rad/s; write 14" in found[0]
-    cured = axis(**LITTLE_FLUX, axis1__observer__pll_size=14.0)
+    cured = axis(**BLIND, axis1__observer__pll_size=14.0)
     assert not any("pll_size" in finding for finding in map(str, findings(cured, assess(cured))))
 
 
 def test_a_minimum_speed_within_the_dead_time_error_causes_a_warning() -> None:
     """The same 43.7 rad/s, with a minimum speed of 4 % of the speed limit."""
-    it = axis(**LITTLE_FLUX)
+    it = axis(**BLIND)
     assert it.sensorless.start_up.minimum_speed == pytest.approx(0.04 * it.axis("limits.speed"))
-    found = [finding for finding in map(str, findings(it, assess(it))) if "minimum_speed" in finding]
+    found = [
+        finding
+        for finding in map(str, findings(it, assess(it)))
+        if "speed error" in finding and "minimum_speed" in finding
+    ]
     assert len(found) == 1
     part = 43.75 / it.axis("limits.speed") / 0.68
     assert f"speed error of 43.7 rad/s, sensorless; write {part:.2g}" in found[0]
-    cured = axis(**LITTLE_FLUX, axis1__start_up__minimum_speed=part, axis1__start_up__speed_final=0.4)
+    cured = axis(**BLIND, axis1__start_up__minimum_speed=part, axis1__start_up__speed_final=0.4)
     assert not any("minimum_speed" in finding for finding in map(str, findings(cured, assess(cured))))
+
+
+@pytest.mark.parametrize("changes", [LITTLE_FLUX, {"axis1__motor__r_s": 2.2}])
+def test_an_encoder_axis_is_not_warned_of_the_observer(changes: dict[str, object]) -> None:
+    it = axis(**changes)
+    found = map(str, findings(it, assess(it)))
+    assert not [one for one in found if re.search(r"observer|back-EMF exceeds|start_up|sensorless|speed error", one)]
 
 
 def test_pole_that_rotates_with_the_frame_has_no_conjugate() -> None:

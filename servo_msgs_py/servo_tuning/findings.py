@@ -216,7 +216,7 @@ def _unusable(design: Tuned) -> Iterator[Problem]:
 
 
 def _sensorless(design: Tuned, figures: Assessment) -> Iterator[Problem]:
-    if design.used_sensorless is None:
+    if design.used_sensorless is None or not needs_observer(design.axis):
         return
     found, start_up = figures.sensorless, design.used_sensorless.start_up
     if start_up.torque > START_UP_TORQUE_MAX:
@@ -228,8 +228,7 @@ def _sensorless(design: Tuned, figures: Assessment) -> Iterator[Problem]:
             text = f"with R x {case.r_s:g} and L x {case.inductance:g} the gains of the observer are unstable"
             fact = f"{design.axis.name}.observer at {case.speed:g} rad/s: {text}"
             yield Problem(fact, advice="lower observer.bandwidth")
-    if needs_observer(design.axis):
-        yield from _observed_speed(design, figures)
+    yield from _observed_speed(design, figures)
 
 
 def _back_emf(design: Tuned, found: SensorlessFigures) -> Iterator[Problem]:
