@@ -24,7 +24,7 @@ setup(
     # Spelt out, an editable install is a plain path entry. The import hook that setuptools writes otherwise loses to
     # the folder of the same name when the current directory is the root of the repository.
     package_dir={"": "."},
-    package_data={"": ["*.toml", "*.xml", "py.typed"]},
+    package_data={"": ["*.toml", "examples/*.xml", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (SHARE, ["package.xml"]),
@@ -41,7 +41,7 @@ setup(
         "test": ["pytest", "hypothesis"],
         # servo-sim --scheduler: trials on a cluster.
         "cluster": ["distributed"],
-        # servo-sim arm, servo_twin.robot; there is no MuJoCo 4 for Python 3.10.
+        # servo-sim robot, servo_twin.robot; there is no MuJoCo 4 for Python 3.10.
         "mujoco": ['mujoco>=4; python_version >= "3.11"'],
         # servo-twin export --format parquet, servo-sim sweep --parquet; rerun needs it, too.
         "parquet": ["pyarrow"],

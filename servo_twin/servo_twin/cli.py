@@ -22,7 +22,7 @@ from servo_twin.diagnosis import command as diagnose
 from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
-from servo_twin.robot import command as arm
+from servo_twin.robot import command as robot
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, turns
 from servo_twin.validation.experiments import command as experiment
 from servo_twin.validation.sweep import command as sweep
@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     )
     exporter.set_defaults(run=_export)
 
-    arm.add_parser(verbs, common, _levelled(FAST_LEVEL))
+    robot.add_parser(verbs, common, _levelled(FAST_LEVEL))
     experiment.add_parser(verbs, common, _levelled(FAST_LEVEL))
     sweep.add_parser(verbs, common, _levelled(FAST_LEVEL))
     robust_command.add_parser(verbs, common, _levelled(FAST_LEVEL))

@@ -1,4 +1,4 @@
-"""Times real time of the arm of ``servo-sim arm``, driven by the board and by ``<dcmotor>``: ``make bench-robot``."""
+"""Times real time of the arm of ``servo-sim robot arm``, by the board and by ``<dcmotor>``: ``make bench-robot``."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import mujoco
+import numpy as np
 from servo_msgs_py.catalogue import AXES
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
-from servo_twin.robot.command import JOINTS, MODEL, set_points
+from servo_twin.robot.command import EXAMPLES
 from servo_twin.robot.coupling import Drive, RobotDrives
+from servo_twin.robot.robot_model import Motion
 
 SECONDS: Final = 4.0  # simulated
 STEPS: Final = (0.0005, 0.001)  # [s]
@@ -19,16 +21,17 @@ STEPS: Final = (0.0005, 0.001)  # [s]
 
 def arm(step: float) -> Any:
     """The arm with this time step [s], not compiled."""
-    spec = mujoco.MjSpec.from_file(str(MODEL))
+    spec = mujoco.MjSpec.from_file(str(EXAMPLES / "arm.xml"))
     spec.option.timestep = step
     return spec
 
 
-def times_real_time(data: Any, step: Callable[[], None], gear: float) -> float:
+def times_real_time(model: Any, data: Any, step: Callable[[], None]) -> float:
     """Simulated time of the figure over time of the processor."""
+    motion = Motion(model, data.ctrl.copy())
     begin, used = data.time, time.thread_time()
     while data.time - begin < SECONDS:
-        data.ctrl[:] = gear * set_points(data.time - begin)
+        data.ctrl[:] = motion(np.full(model.nu, data.time - begin))
         step()
     return SECONDS / (time.thread_time() - used)
 
@@ -37,10 +40,10 @@ def by_board(level: Any, step: float) -> float:
     """Of the arm that the firmware drives."""
     model = arm(step).compile()
     with Board(seed=1, level=level) as board:
-        axes = [Drive(joint, axis) for axis, joint in enumerate(JOINTS)]
+        axes = [Drive(joint, axis) for axis, joint in enumerate(("shoulder", "elbow"))]
         drives = RobotDrives(model, mujoco.MjData(model), board, axes)
         drives.enable()
-        return times_real_time(drives.data, drives.step, float(model.actuator_gear[0, 0]))
+        return times_real_time(model, drives.data, drives.step)
 
 
 def by_dcmotor(step: float) -> float:
@@ -54,7 +57,7 @@ def by_dcmotor(step: float) -> float:
         )
     model = spec.compile()
     data = mujoco.MjData(model)
-    return times_real_time(data, lambda: mujoco.mj_step(model, data), 1.0)
+    return times_real_time(model, data, lambda: mujoco.mj_step(model, data))
 
 
 def main() -> None:

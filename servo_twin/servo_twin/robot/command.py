@@ -1,137 +1,181 @@
-"""``servo-sim arm``: a two-joint arm in MuJoCo whose joints are moved by the firmware."""
+"""``servo-sim robot``: the joints of a MuJoCo model, moved by the firmware (servo_twin/doc/coupling.md)."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.board_port import active
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
-from servo_twin.board import Board, SimulationError
+from servo_twin.board import SimulationError
+from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 
-MODEL: Final = Path(__file__).with_name("arm.xml")
-JOINTS: Final = ("shoulder", "elbow")  # axis 1 and axis 2; joints and actuators have the same names
+if TYPE_CHECKING:
+    from servo_twin.robot.coupling import RobotDrives
+    from servo_twin.robot.robot_model import RobotModel
 
-_AMPLITUDE: Final = np.array([0.8, 1.0])  # [rad]
-_FREQUENCY: Final = np.array([0.25, 0.375])  # of the Lissajous figure [Hz]
-_RISE: Final = 2.0  # time until the full amplitude [s]
+EXAMPLES: Final = Path(__file__).with_name("examples")
+_REST: Final = 1.0  # simulated after the last keyframe [s]
 
 _Array = NDArray[np.float64]
 
 
-class ArmLog(NamedTuple):
-    """Rows of a run, one per time step; two columns are shoulder and elbow."""
+class RobotLog(NamedTuple):
+    """Rows of a motion, one per time step; columns are the drives."""
 
-    time: _Array  # time of the model [s]
-    set_point: _Array  # joint angles [rad]
-    angle: _Array  # joint angles [rad]
-    torque: _Array  # torque of the motors at the joints [N m]
-    hand: _Array  # x and z of the hand [m]
-    u_dc: _Array  # bus voltage [V]
+    time: _Array  # since the begin of the motion [s]
+    set_point: _Array  # control signal, in the unit of its mode
+    angle: _Array  # length of the actuator: angle of the motor [rad]
+    speed: _Array  # of the motor [rad/s]
+    torque: _Array  # of the motor [N m]
+    u_dc: _Array  # bus voltage of each board [V]
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
-    """Add ``arm`` to the commands of ``servo-sim``; parameters as of `sweep.command.add_parser`."""
+    """Add ``robot`` to the commands of ``servo-sim``; parameters as of `sweep.command.add_parser`."""
+    examples = ", ".join(sorted(path.stem for path in EXAMPLES.glob("*.xml")))
     parser = verbs.add_parser(
-        "arm",
+        "robot",
         parents=[common, levelled],
-        help="move a two-joint arm in MuJoCo (needs servo_twin[mujoco])",
-        description="Move a two-joint arm in MuJoCo by the firmware: search the rotors, follow a Lissajous figure.",
+        help="move the joints of a MuJoCo model by the firmware (needs servo_twin[mujoco])",
+        description="Move the joints of a MuJoCo model by the firmware: search the rotors, home, follow the keyframes. "
+        "The <custom> part of the MJCF file says which axes drive which actuators (servo_twin/doc/coupling.md).",
     )
-    parser.add_argument("--time", type=argument.positive, default=8.0, help="of the motion [s] (default: %(default)s)")
+    parser.add_argument("model", metavar="MODEL", help=f"MJCF file, or an example: {examples}")
+    parser.add_argument(
+        "--time", type=argument.positive, help=f"of the motion [s] (default: {_REST:g} s after the last keyframe)"
+    )
     parser.add_argument("--plot", type=argument.picture, metavar="FILE", help="file for a plot of the motion")
     parser.set_defaults(run=run)
 
 
-def set_points(time: float) -> _Array:
-    """Joint angles [rad] at a time since the beginning of the motion [s]."""
-    rise = min(time / _RISE, 1.0)
-    return np.asarray(rise * rise * (3.0 - 2.0 * rise) * _AMPLITUDE * np.sin(2.0 * math.pi * _FREQUENCY * time))
-
-
-def follow(board: Board, seconds: float) -> ArmLog:
-    """Search the rotors and follow the figure for some time [s].
+def load(name: str) -> RobotModel:
+    """A model by its file, or by the name of an example.
 
     Raises
     ------
     SimulationError
-        If MuJoCo is not installed, or an axis has a fault.
+        If MuJoCo is not installed.
+    ValueError
+        If the file is not valid.
     """
     try:
-        import mujoco
+        from servo_twin.robot.robot_model import RobotModel
     except ImportError as error:
-        raise SimulationError(f"the arm needs MuJoCo ({error}): pip install 'servo_twin[mujoco]'") from None
-    from servo_twin.robot.coupling import Drive, RobotDrives
+        raise SimulationError(f"a robot needs MuJoCo ({error}): pip install 'servo_twin[mujoco]'") from None
+    example = EXAMPLES / f"{name}.xml"
+    return RobotModel(example if example.is_file() else Path(name))
 
-    model = mujoco.MjModel.from_xml_path(str(MODEL))
-    data = mujoco.MjData(model)
-    drives = RobotDrives(model, data, board, [Drive(joint, axis) for axis, joint in enumerate(JOINTS)])
+
+def follow(robot: RobotModel, drives: RobotDrives, seconds: float | None = None) -> RobotLog:
+    """Search the rotors, home, and follow the keyframes.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The model.
+    drives : RobotDrives
+        Its drives, from `RobotModel.robot`.
+    seconds : float, optional
+        Duration of the motion [s]; 1 s after the last keyframe by default.
+
+    Raises
+    ------
+    SimulationError
+        If an axis has a fault, or a homing fails.
+    """
+    from servo_twin.robot.robot_model import Motion
+
+    model, data = drives.model, drives.data
     drives.enable()
-    gear = model.actuator_gear[:, 0]
-    begin = data.time
+    for k, drive in enumerate(drives.drives):
+        if drive.axis in robot.homing:
+            drives.home(k, robot.homing[drive.axis])
+    motion = Motion(model, data.ctrl.copy())
+    seconds = float(motion.time[-1]) + _REST if seconds is None else seconds
+    step, delays = model.opt.timestep, drives.delays
+    lead = max(delays)  # paths begin at rest
+    begin = data.time + lead
+    robot.release(data)
     rows = []
-    for _ in range(round(seconds / model.opt.timestep)):
-        target = set_points(data.time - begin)
-        data.ctrl[:] = gear * target
+    for _ in range(round((lead + seconds) / step)):
+        time = data.time - begin
+        data.ctrl[:] = motion(time + delays) + robot.corrections(data)
         drives.step()
-        hand = data.sensor("hand").data[[0, 2]]  # that of the beginning of the step
-        rows.append((data.time, target, data.qpos.copy(), gear * data.act, hand.copy(), board.truth(0).u_dc))
-    for axis, joint in enumerate(JOINTS):
-        if faults := active(board, axis):
-            raise SimulationError(f"{joint} ({axis_name(axis)}): {', '.join(sorted(faults))}")
-    return ArmLog(*map(np.array, zip(*rows, strict=True)))
+        target = motion(np.full(model.nu, time + step))[drives.channels]
+        volts = [board.truth(0).u_dc for board in drives.boards]
+        rows.append((time + step, target, drives.lengths(), drives.speeds(), drives.torques(), volts))
+    for drive in drives.drives:
+        board, axis = divmod(drive.axis, AXES)
+        if faults := active(drives.boards[board], axis):
+            raise SimulationError(f"{drive.actuator} ({axis_name(drive.axis)}): {', '.join(sorted(faults))}")
+    return RobotLog(*map(np.array, zip(*rows, strict=True)))
+
+
+def figures(log: RobotLog, drives: RobotDrives) -> dict[str, dict[str, float | None]]:
+    """Figures of each drive: errors of its joint [rad, or m], torques at its joint [N m, or N]."""
+    result: dict[str, dict[str, float | None]] = {}
+    for k, drive in enumerate(drives.drives):
+        gear = float(drives.gear[k])
+        values = {"POSITION": log.angle, "TRAJECTORY": log.angle, "SPEED": log.speed}.get(drive.mode or "")
+        error = None if values is None else (values[:, k] - log.set_point[:, k]) / gear
+        result[drive.actuator] = {
+            "error_rms": None if error is None else float(np.sqrt(np.mean(error**2))),
+            "error_max": None if error is None else float(np.abs(error).max()),
+            "torque_rms": abs(gear) * float(np.sqrt(np.mean(log.torque[:, k] ** 2))),
+            "torque_max": abs(gear) * float(np.abs(log.torque[:, k]).max()),
+        }
+    return result
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
-    with Board(PlantConfig.load(args.plant), seed=args.seed, level=args.level) as board:
-        log = follow(board, args.time)
-    error = log.angle - log.set_point
-    figures = {
-        "error_rms": np.sqrt(np.mean(error**2, axis=0)),
-        "error_max": np.abs(error).max(axis=0),
-        "torque_max": np.abs(log.torque).max(axis=0),
-    }
+    robot = load(args.model)
+    drives = robot.robot(
+        PlantConfig.load(args.plant), seed=args.seed, level=chosen_level(args.level, default=FAST_LEVEL)
+    )
+    log = follow(robot, drives, args.time)
+    found = figures(log, drives)
     if args.plot:
-        _plot(log, args.plot)
+        _plot(log, drives, args.plot)
     if args.json:
-        print(json.dumps({joint: {n: float(v[axis]) for n, v in figures.items()} for axis, joint in enumerate(JOINTS)}))
+        print(json.dumps(found))
         return 0
-    rows = [["joint", "error rms", "largest error", "largest torque"], ["", "rad", "rad", "N m"]]
-    rows += [[joint, *(f"{v[axis]:.4f}" for v in figures.values())] for axis, joint in enumerate(JOINTS)]
-    print("\n".join(aligned(rows, "<>")))
+    rows = [["joint", "mode", "error rms", "largest", "torque rms", "largest"]]
+    rows += [
+        [drive.actuator, drive.mode or "", *("" if x is None else f"{x:.5f}" for x in found[drive.actuator].values())]
+        for drive in drives.drives
+    ]
+    print("\n".join(aligned(rows, "<<>")))
+    print("errors [rad or m; of a speed per second] and torques [N m or N] at the joints")
     return 0
 
 
-def _plot(log: ArmLog, path: Path) -> None:
+def _plot(log: RobotLog, drives: RobotDrives, path: Path) -> None:
     figure = new_figure(12.0, 8.0)
-    grid = figure.add_gridspec(3, 2)
-    hand = figure.add_subplot(grid[:, 0])
-    hand.plot(*log.hand.T)
-    hand.set(xlabel="x of the hand [m]", ylabel="z of the hand [m]", aspect="equal")
-    angle, torque, bus = (figure.add_subplot(grid[row, 1]) for row in range(3))
-    for axis, joint in enumerate(JOINTS):
-        (line,) = angle.plot(log.time, log.angle[:, axis], label=joint)
-        angle.plot(log.time, log.set_point[:, axis], ":", color=line.get_color())
-        torque.plot(log.time, log.torque[:, axis], label=joint, linewidth=0.5)
+    position, speed, torque, bus = figure.subplots(4, 1, sharex=True)
+    for k, drive in enumerate(drives.drives):
+        gear = float(drives.gear[k])
+        lines = position.plot(log.time, log.angle[:, k] / gear, label=drive.actuator)
+        speed.plot(log.time, log.speed[:, k] / gear, label=drive.actuator)
+        torque.plot(log.time, log.torque[:, k] * gear, label=drive.actuator, linewidth=0.5)
+        plot = {"POSITION": position, "TRAJECTORY": position, "SPEED": speed}.get(drive.mode or "")
+        if plot is not None:
+            plot.plot(log.time, log.set_point[:, k] / gear, ":", color=lines[0].get_color())
     bus.plot(log.time, log.u_dc, linewidth=0.5)
-    for plot, label in (
-        (angle, "angle (set-point: dots) [rad]"),
-        (torque, "torque at joint [N m]"),
-        (bus, "bus [V]"),
-    ):
+    labels = ("joint [rad or m] (set-point: dots)", "speed of joint [1/s]", "torque at joint [N m or N]", "bus [V]")
+    for plot, label in zip((position, speed, torque, bus), labels, strict=True):
         plot.set_ylabel(label)
         plot.grid(alpha=0.3)
-    angle.legend()
-    bus.set_xlabel("time since reset [s]")
+    position.legend()
+    bus.set_xlabel("time since the begin of the motion [s]")
     write_figure(figure, path)

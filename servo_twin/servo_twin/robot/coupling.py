@@ -1,4 +1,4 @@
-"""Joints of a MuJoCo model, driven by the axes of a virtual board (servo_twin/doc/coupling.md).
+"""Joints of a MuJoCo model, driven by the axes of virtual boards (servo_twin/doc/coupling.md).
 
 MuJoCo owns the joint with its whole inertia, friction and stops, the board electronics, firmware and air-gap torque.
 """
@@ -14,20 +14,31 @@ from typing import Any, Final, Literal
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.board_port import choose, read_axis, write_axis
+from servo_msgs_py.board_port import active, choose, place, reached, read_axis, word, write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.timed_points import TimedPoint, encode_points
+from servo_msgs_py.units import PERIOD_NS, TICK_NS
 
 from servo_twin.board import Board
 from servo_twin.board_state import BoardState
-from servo_twin.simulation import SEARCH_MAX, enable
+from servo_twin.simulation import SEARCH_MAX, SimulationError, enable
 
-Mode = Literal["POSITION", "SPEED", "TORQUE"]
-"""What the control signal of an actuator means: angle [rad], speed [rad/s] or torque [N m] of the motor's shaft."""
+Mode = Literal["POSITION", "SPEED", "TORQUE", "TRAJECTORY"]
+"""What the control signal of an actuator means, at the motor's shaft.
+
+Angle [rad], speed [rad/s] or torque [N m]. TRAJECTORY: successive angles of a smooth path, which the shaft follows
+`RobotDrives.delays` later.
+"""
 
 _VARIABLES: Final[dict[Mode, str]] = {"POSITION": "cmd.position", "SPEED": "cmd.speed", "TORQUE": "cmd.i_q"}
+_ANGLES: Final = ("POSITION", "TRAJECTORY")
+_POINT_NS: Final = 2_000_000  # shortest time between two points of a path [ns]
+_AHEAD_NS: Final = 2_000_000  # from the arrival of a point until its predecessor is reached; the board needs 1.5 ms
+_HOMING_MAX: Final = 60.0  # duration of a homing [s]
 _INERTIA_TOLERANCE: Final = 0.01  # largest relative difference between armature and inertia of the plant
 _TIME_TOLERANCE: Final = 1e-9  # [s]
+
+_Array = NDArray[np.float64]
 
 
 class CouplingError(ValueError):
@@ -36,14 +47,14 @@ class CouplingError(ValueError):
 
 @dataclass(frozen=True)
 class Drive:
-    """One axis of the board at one actuator of the model.
+    """One axis of a board at one actuator of the model.
 
     Parameters
     ----------
     actuator : str
         Name of the actuator.
     axis : int
-        Index of the axis.
+        Index of the axis: 0 and 1 are those of the first board, 2 and 3 those of the second.
     mode : Mode, optional
         Meaning of the control signal; None: it is not read, the axis is commanded otherwise.
     """
@@ -55,122 +66,20 @@ class Drive:
 
 @dataclass(frozen=True)
 class CoupledState:
-    """State of model and board at an instant; can be pickled."""
+    """State of model and boards at an instant; can be pickled."""
 
-    board: BoardState  # state of the board
-    simulator: NDArray[np.float64]  # state of MuJoCo, ``mjSTATE_INTEGRATION``
+    boards: tuple[BoardState, ...]  # state of each board
+    simulator: _Array  # state of MuJoCo, ``mjSTATE_INTEGRATION``
     time: float  # time of MuJoCo [s]
-    impulse: tuple[float, ...]  # integral of the air-gap torque of each drive at the end of the last step [N m s]
-    zero: tuple[float, ...]  # length of each actuator at position 0 of the firmware [rad]
+    drives: _Array  # private numbers of the coupling, one row per quantity
 
 
-class RobotDrives:
-    """A board whose axes move joints of a MuJoCo model.
+@dataclass(frozen=True)
+class RobotPort:
+    """`servo_msgs_py.board_port.BoardPort` of one board, whose time is that of the robot."""
 
-    Each actuator is ``<general joint=... gear=... dyntype="user" armature=.../>``: `gear` is the ratio of the gearbox,
-    `armature` the inertia of the rotor, `mjData.act` the torque at the shaft of the motor, and `mjData.ctrl` the
-    set-point (see `Mode`). Length and velocity of an actuator are angle and speed of the motor. The torque of a
-    step acts in the next one.
-
-    Parameters
-    ----------
-    model, data : mujoco.MjModel, mujoco.MjData
-        The model and its state. The time step is a multiple of a PWM period, 62.5 us.
-    board : Board
-        The board, at any instant. From now on only the coupling lets its time elapse.
-    drives : sequence of Drive
-        Actuators of the axes. An axis that is not named keeps the rotor of its plant.
-
-    Raises
-    ------
-    CouplingError
-        If actuator, axis, time step or inertia do not fit.
-    """
-
-    def __init__(self, model: Any, data: Any, board: Board, drives: Sequence[Drive]) -> None:
-        self.model, self.data, self.board, self.drives = model, data, board, tuple(drives)
-        self._step_ns = _step_ns(model)
-        ids = [_actuator(model, board, drive) for drive in self.drives]
-        for what, used in (("actuator", ids), ("axis", [drive.axis for drive in self.drives])):
-            if len(set(used)) < len(used):
-                raise CouplingError(f"two drives have the same {what}; name each one once")
-        joints = [int(model.actuator_trnid[i, 0]) for i in ids]
-        self._gear = np.array([model.actuator_gear[i, 0] for i in ids])
-        self._qpos = np.array([model.jnt_qposadr[joint] for joint in joints], dtype=np.intp)
-        self._qvel = np.array([model.jnt_dofadr[joint] for joint in joints], dtype=np.intp)
-        self._act = np.array([model.actuator_actadr[i] for i in ids], dtype=np.intp)
-        self._ctrl = np.array([model.actuator_ctrladr[i] for i in ids], dtype=np.intp)
-        self._limits = np.array(
-            [model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-math.inf, math.inf) for i in ids]
-        ).reshape(-1, 2)
-        lengths = self.lengths()
-        self._offset = [
-            board.truth(drive.axis).theta_m - float(length) for drive, length in zip(self.drives, lengths, strict=True)
-        ]
-        self._impulse = self._impulses()
-        self._zero = lengths
-        self._time = float(data.time)
-        for drive in self.drives:
-            if drive.mode is not None:
-                choose(board, "cmd.mode", drive.axis, drive.mode)
-        self._start = self.state()
-
-    def lengths(self) -> NDArray[np.float64]:
-        """Angles of the motors: joint times gear [rad]."""
-        return np.asarray(self._gear * self.data.qpos[self._qpos])
-
-    def _impulses(self) -> NDArray[np.float64]:
-        return np.array([self.board.truth(drive.axis).impulse_e for drive in self.drives])
-
-    # ---- time -------------------------------------------------------------------------------------------------------
-
-    def step(self) -> None:
-        """One time step of model and board.
-
-        Raises
-        ------
-        CouplingError
-            If a control signal is not valid, or the time of the model was changed outside of the coupling.
-        BoardError
-            If a joint jumps or turns the motor faster than 2000 rad/s.
-        """
-        if abs(self.data.time - self._time) > _TIME_TOLERANCE:
-            raise CouplingError(
-                f"the time of mjData is {self.data.time:g} s, that of the board {self._time:g} s: "
-                "use reset() and restore() of the coupling instead of mj_resetData and mj_setState"
-            )
-        self._command()
-        mujoco.mj_step(self.model, self.data)
-        self._time = float(self.data.time)
-        board = self.board
-        end_ns = (board.time_ns // self._step_ns + 1) * self._step_ns
-        seconds = (end_ns - board.time_ns) * 1e-9
-        speeds = self._gear * self.data.qvel[self._qvel]
-        for drive, offset, length, speed in zip(self.drives, self._offset, self.lengths(), speeds, strict=True):
-            board.drive_shaft(drive.axis, float(length) + offset, float(speed), seconds)
-        board.advance(end_ns)
-        impulse = self._impulses()
-        self.data.act[self._act] = (impulse - self._impulse) / (self._step_ns * 1e-9)
-        self._impulse = impulse
-
-    def _command(self) -> None:
-        """Give the control signals to the firmware."""
-        signals = np.clip(self.data.ctrl[self._ctrl], self._limits[:, 0], self._limits[:, 1])
-        for drive, signal, zero in zip(self.drives, signals.tolist(), self._zero.tolist(), strict=True):
-            if drive.mode is None:
-                continue
-            if not math.isfinite(signal):
-                raise CouplingError(f"actuator '{drive.actuator}': the control signal is {signal}")
-            if drive.mode == "POSITION":
-                signal -= zero
-            elif drive.mode == "TORQUE":
-                signal /= self.board.plant.axes[drive.axis].torque_constant
-            try:
-                write_axis(self.board, _VARIABLES[drive.mode], drive.axis, signal)
-            except ValueError as error:
-                raise CouplingError(f"actuator '{drive.actuator}': {error}") from None
-
-    # ---- `servo_msgs_py.board_port.BoardPort`, with the robot --------------------------------------------------------
+    board: Board
+    robot: RobotDrives
 
     @property
     def catalogue(self) -> Catalogue:
@@ -182,10 +91,8 @@ class RobotDrives:
         return self.board.clock()
 
     def wait(self, seconds: float) -> None:
-        """Step for at least some simulated time [s]."""
-        end = self._time + seconds - _TIME_TOLERANCE
-        while self._time < end:
-            self.step()
+        """See `RobotDrives.wait`."""
+        self.robot.wait(seconds)
 
     def read_words(self, name: str) -> list[int]:
         """See `Board.read_words`."""
@@ -195,38 +102,252 @@ class RobotDrives:
         """See `Board.write_words`."""
         return self.board.write_words(name, words, first)
 
+
+class RobotDrives:
+    """Boards whose axes move joints of a MuJoCo model.
+
+    Each actuator is ``<general joint=... gear=... dyntype="user" armature=.../>``: `gear` is the ratio of the gearbox,
+    `armature` the inertia of the rotor, `mjData.act` the torque at the shaft of the motor, and `mjData.ctrl` the
+    set-point (see `Mode`). Length and velocity of an actuator are angle and speed of the motor.
+
+    Parameters
+    ----------
+    model, data : mujoco.MjModel, mujoco.MjData
+        The model and its state. The time step is a multiple of a PWM period, 62.5 us.
+    boards : Board or sequence of Board
+        The boards, at any instant. From now on only the coupling lets their time elapse.
+    drives : sequence of Drive
+        Actuators of the axes. An axis that is not named keeps the rotor of its plant.
+
+    Raises
+    ------
+    CouplingError
+        If actuator, axis, time step or inertia do not fit.
+    """
+
+    def __init__(self, model: Any, data: Any, boards: Board | Sequence[Board], drives: Sequence[Drive]) -> None:
+        self.model, self.data, self.drives = model, data, tuple(drives)
+        self.boards = (boards,) if isinstance(boards, Board) else tuple(boards)
+        self._step_ns = _step_ns(model)
+        _check_once(self.drives)
+        ids = [_actuator(model, self.boards, drive) for drive in self.drives]
+        joints = [int(model.actuator_trnid[i, 0]) for i in ids]
+        _check_joints(model, self.drives, joints)
+        self.gear = np.array([model.actuator_gear[i, 0] for i in ids])
+        self._qpos = np.array([model.jnt_qposadr[joint] for joint in joints], dtype=np.intp)
+        self._qvel = np.array([model.jnt_dofadr[joint] for joint in joints], dtype=np.intp)
+        self._act = np.array([model.actuator_actadr[i] for i in ids], dtype=np.intp)
+        self.channels = np.array([model.actuator_ctrladr[i] for i in ids], dtype=np.intp)
+        self._limits = np.array(
+            [model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-math.inf, math.inf) for i in ids]
+        ).reshape(-1, 2)
+        self._where = [(self.boards[drive.axis // AXES], drive.axis % AXES) for drive in self.drives]
+        lengths = self.lengths()
+        self._offset = np.array([board.truth(axis).theta_m for board, axis in self._where]) - lengths
+        # Of each drive: length at position 0 of the firmware [rad], NaN before `align`; the control signal of mode
+        # TRAJECTORY one and two points ago; tick of the firmware at time 0 of its board [PWM periods].
+        self._numbers = np.full((4, len(ids)), math.nan)
+        self._time = float(data.time)
+        self._point_steps = -(-_POINT_NS // self._step_ns)
+        for drive, (board, axis) in zip(self.drives, self._where, strict=True):
+            if drive.mode is not None:
+                choose(board, "cmd.mode", axis, drive.mode)
+            if drive.mode == "TRAJECTORY" and self._step_ns % TICK_NS:
+                raise CouplingError(
+                    f"actuator '{drive.actuator}': in mode TRAJECTORY the time step of the model is a multiple of "
+                    'a slow tick; write for example <option timestep="0.0005"/>'
+                )
+        self._start = self.state()
+
+    @property
+    def delays(self) -> _Array:
+        """Time from each control signal of mode TRAJECTORY until the shaft is at its angle [s]; 0 for other signals."""
+        result = np.zeros(self.model.nu)
+        paths = [drive.mode == "TRAJECTORY" for drive in self.drives]
+        result[self.channels[paths]] = (2 * self._point_steps * self._step_ns + _AHEAD_NS) * 1e-9
+        return result
+
+    def lengths(self) -> _Array:
+        """Angles of the motors: joint times gear [rad]."""
+        return np.asarray(self.gear * self.data.qpos[self._qpos])
+
+    def speeds(self) -> _Array:
+        """Speeds of the motors [rad/s]."""
+        return np.asarray(self.gear * self.data.qvel[self._qvel])
+
+    def torques(self) -> _Array:
+        """Mean torques of the motors in the last step [N m]."""
+        return np.array(self.data.act[self._act])
+
+    def port(self, board: int = 0) -> RobotPort:
+        """One of the boards, for functions over a `BoardPort`."""
+        return RobotPort(self.boards[board], self)
+
+    # ---- time -------------------------------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """One time step of model and boards.
+
+        Raises
+        ------
+        CouplingError
+            If a control signal is not valid, or the time of the model was changed outside of the coupling.
+        BoardError
+            If a joint jumps or turns the motor faster than 2000 rad/s.
+        """
+        if abs(self.data.time - self._time) > _TIME_TOLERANCE:
+            raise CouplingError(
+                f"the time of mjData is {self.data.time:g} s, that of the boards {self._time:g} s: "
+                "use reset() and restore() of the coupling instead of mj_resetData and mj_setState"
+            )
+        self._command()
+        mujoco.mj_step(self.model, self.data)
+        self._time = float(self.data.time)
+        self.data.act[self._act] = self._mean_torques()
+
+    def _mean_torques(self) -> _Array:
+        """Let the boards follow the motion of the model; mean torque of each motor since the previous step [N m]."""
+        before = [board.truth(axis).impulse_e for board, axis in self._where]
+        speeds, angles = self.speeds(), self.lengths() + self._offset
+        ends = {board: (board.time_ns // self._step_ns + 1) * self._step_ns for board in self.boards}
+        for (board, axis), angle, speed in zip(self._where, angles.tolist(), speeds.tolist(), strict=True):
+            board.drive_shaft(axis, angle, speed, (ends[board] - board.time_ns) * 1e-9)
+        for board, end_ns in ends.items():
+            board.advance(end_ns)
+        after = [board.truth(axis).impulse_e for board, axis in self._where]
+        return np.subtract(after, before) / (self._step_ns * 1e-9)
+
+    def _command(self) -> None:
+        """Give the control signals to the firmware."""
+        signals = np.clip(self.data.ctrl[self.channels], self._limits[:, 0], self._limits[:, 1])
+        for drive, (board, axis), signal, zero in zip(
+            self.drives, self._where, signals.tolist(), self._numbers[0].tolist(), strict=True
+        ):
+            if drive.mode is None:
+                continue
+            if not math.isfinite(signal):
+                raise CouplingError(f"actuator '{drive.actuator}': the control signal is {signal}")
+            if (drive.mode in _ANGLES and math.isnan(zero)) or drive.mode == "TRAJECTORY":
+                continue
+            if drive.mode == "POSITION":
+                signal -= zero
+            elif drive.mode == "TORQUE":
+                signal /= board.plant.axes[axis].torque_constant
+            try:
+                write_axis(board, _VARIABLES[drive.mode], axis, signal)
+            except ValueError as error:
+                raise CouplingError(f"actuator '{drive.actuator}': {error}") from None
+        if round(self._time * 1e9) // self._step_ns % self._point_steps == 0:
+            self._send_points(signals)
+
+    def _send_points(self, signals: _Array) -> None:
+        """Send the previous control signals of mode TRAJECTORY as timed points, with their central differences."""
+        zero, last, before_last, ticks = self._numbers
+        aligned = np.isfinite(zero)
+        interval_ns = self._point_steps * self._step_ns
+        speeds = (signals - before_last) / (2e-9 * interval_ns)
+        for board in self.boards:
+            points = [
+                TimedPoint(
+                    axis,
+                    (int(ticks[k]) + (board.time_ns + interval_ns + _AHEAD_NS) // PERIOD_NS) % (1 << 32),
+                    float(last[k] - zero[k]),
+                    float(speeds[k]),
+                )
+                for k, (drive, (owner, axis)) in enumerate(zip(self.drives, self._where, strict=True))
+                if owner is board and drive.mode == "TRAJECTORY" and place(board, axis) == "SPIN" and aligned[k]
+            ]
+            if points:
+                self._write_points(board, points)
+        self._numbers = np.array([zero, signals, last, ticks])
+
+    def _write_points(self, board: Board, points: Sequence[TimedPoint]) -> None:
+        """Send points; raise `CouplingError` if the board has refused earlier ones."""
+        names = [drive.actuator for drive, (owner, _) in zip(self.drives, self._where, strict=True) if owner is board]
+        where = f"actuator {' or '.join(map(repr, names))}"
+        reason = board.catalogue.label("point_refusal_t", board.read_words("point_refusal")[0])
+        if reason not in ("NONE", "MODE"):  # MODE: the axis opens its brake, or stops
+            raise CouplingError(
+                f"{where}: the firmware refuses the path ({reason}); let ctrl change smoothly, or use mode POSITION"
+            )
+        try:
+            board.write_words("cmd.points", encode_points(board.catalogue, points))
+        except ValueError as error:
+            raise CouplingError(f"{where}: {error}") from None
+
+    def wait(self, seconds: float) -> None:
+        """Step for at least some simulated time [s]."""
+        end = self._time + seconds - _TIME_TOLERANCE
+        while self._time < end:
+            self.step()
+
     # ---- drive and state ---------------------------------------------------------------------------------------------
 
     def enable(self, search_max: float = SEARCH_MAX) -> float:
-        """Enable both axes and wait for the end of the rotor search, then `align`; returns its duration [s].
+        """Enable both axes of one board after the other, with rotor search, then `align`; returns the duration [s].
 
         Raises
         ------
         SimulationError
             If an axis has a fault, or on a timeout of the rotor search.
         """
-        seconds = enable(self, search_max)
+        seconds = sum(enable(self.port(board), search_max) for board in range(len(self.boards)))
         self.align()
         return seconds
 
     def align(self) -> None:
-        """Let control signals of position be lengths of the actuators, and hold the present position.
+        """Let control signals of angles be lengths of the actuators, and hold the present set-point.
 
         The firmware counts its position from the rotor search or from the home position; call this after either.
         """
-        position = [read_axis(self.board, f"{axis_name(drive.axis)}.position", 0) for drive in self.drives]
-        self._zero = self.lengths() - position
-        held = np.array([drive.mode == "POSITION" for drive in self.drives], dtype=bool)
-        self.data.ctrl[self._ctrl[held]] = self.lengths()[held]
+
+        def of(name: str) -> list[float]:
+            return [read_axis(board, f"{axis_name(axis)}.{name}", 0) for board, axis in self._where]
+
+        zero = self.lengths() - of("position")
+        held = zero + of("position_ref")
+        ticks = [board.read_words("tick")[0] - board.time_ns // PERIOD_NS for board, _ in self._where]
+        self._numbers = np.array([zero, held, held, ticks])
+        angles = np.array([drive.mode in _ANGLES for drive in self.drives], dtype=bool)
+        self.data.ctrl[self.channels[angles]] = held[angles]
+
+    def home(self, drive: int, method: str) -> None:
+        """Home an axis that is enabled, then `align`.
+
+        Parameters
+        ----------
+        drive : int
+            Index in `drives`.
+        method : str
+            Name of a ``home_method_t``, such as ``STOP_NEGATIVE``.
+
+        Raises
+        ------
+        SimulationError
+            If the firmware does not find its reference.
+        """
+        board, axis = self._where[drive]
+        port = self.port(self.boards.index(board))
+        self._numbers[0, drive] = math.nan  # a set-point would end the homing
+        choose(port, "cmd.home", axis, method)
+
+        def result() -> str:
+            return port.catalogue.label("home_result_t", word(port, axis, "home_result"))
+
+        port.wait(0.01)
+        if not reached(port, lambda: result() != "RUNNING", _HOMING_MAX, 0.01) or result() != "DONE":
+            faults = ", ".join(sorted(active(port, axis)))
+            where = f"actuator '{self.drives[drive].actuator}'"
+            raise SimulationError(f"{where}: homing {method} ends with {result()}" + (f"; {faults}" if faults else ""))
+        self.align()
 
     def state(self) -> CoupledState:
-        """Complete state of model and board; at level ``registers`` see `Board.state`."""
+        """Complete state of model and boards; at level ``registers`` see `Board.state`."""
         signature = mujoco.mjtState.mjSTATE_INTEGRATION
         simulator = np.empty(mujoco.mj_stateSize(self.model, signature))
         mujoco.mj_getState(self.model, self.data, simulator, signature)
-        return CoupledState(
-            self.board.state(), simulator, self._time, tuple(self._impulse.tolist()), tuple(self._zero.tolist())
-        )
+        boards = tuple(board.state() for board in self.boards)
+        return CoupledState(boards, simulator, self._time, self._numbers.copy())
 
     def restore(self, state: CoupledState) -> None:
         """Continue from a state of this coupling or a copy; every later bit is that of the other run.
@@ -238,19 +359,21 @@ class RobotDrives:
         BoardError
             If the state is from another build or level.
         """
-        self.board.restore(state.board)
+        for board, image in zip(self.boards, state.boards, strict=True):
+            board.restore(image)
         mujoco.mj_setState(self.model, self.data, state.simulator, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self._time = state.time
-        self._impulse, self._zero = np.array(state.impulse), np.array(state.zero)
+        self._time, self._numbers = state.time, state.drives.copy()
 
     def reset(self) -> None:
         """Continue from the state at construction."""
         self.restore(self._start)
 
     def copy(self) -> RobotDrives:
-        """The same robot and board once more, with the same model; each continues by itself."""
+        """The same robot and boards once more, with the same model; each continues by itself."""
         other = copy.copy(self)
-        other.data, other.board = copy.copy(self.data), self.board.copy()
+        other.data, other.boards = copy.copy(self.data), tuple(board.copy() for board in self.boards)
+        other._where = [(other.boards[drive.axis // AXES], drive.axis % AXES) for drive in self.drives]
+        other._numbers = self._numbers.copy()
         return other
 
 
@@ -265,11 +388,37 @@ def _step_ns(model: Any) -> int:
     return step_ns
 
 
-def _actuator(model: Any, board: Board, drive: Drive) -> int:
+def _check_once(drives: Sequence[Drive]) -> None:
+    for k, drive in enumerate(drives):
+        for other in drives[:k]:
+            if drive.actuator == other.actuator:
+                raise CouplingError(f"actuator '{drive.actuator}': two drives have it; name each actuator once")
+            if drive.axis == other.axis:
+                raise CouplingError(
+                    f"actuator '{drive.actuator}': {axis_name(drive.axis)} drives '{other.actuator}' already; "
+                    "choose another axis"
+                )
+
+
+def _check_joints(model: Any, drives: Sequence[Drive], joints: Sequence[int]) -> None:
+    """Refuse two boards, which do not know of each other, at one joint."""
+    for k, drive in enumerate(drives):
+        for other, joint in zip(drives[:k], joints[:k], strict=True):
+            if joint == joints[k] and drive.axis // AXES != other.axis // AXES:
+                raise CouplingError(
+                    f"actuator '{drive.actuator}': another board drives the joint '{model.joint(joint).name}' by "
+                    f"'{other.actuator}'; use the two axes of one board"
+                )
+
+
+def _actuator(model: Any, boards: Sequence[Board], drive: Drive) -> int:
     """Index of an actuator after a check that it fits."""
     where = f"actuator '{drive.actuator}'"
-    if drive.axis not in range(AXES):
-        raise CouplingError(f"{where}: the board has no axis with index {drive.axis}; write 0 .. {AXES - 1}")
+    if drive.axis not in range(len(boards) * AXES):
+        raise CouplingError(
+            f"{where}: there is no axis with index {drive.axis}; write 0 .. {len(boards) * AXES - 1}, "
+            f"or add a board: each has {AXES} axes"
+        )
     actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, drive.actuator)
     if actuator < 0:
         known = ", ".join(model.actuator(i).name or "(no name)" for i in range(model.nu)) or "none"
@@ -289,7 +438,7 @@ def _actuator(model: Any, board: Board, drive: Drive) -> int:
             f'{where}: the torque of the motor is its activation; write <general dyntype="user" actdim="1" ...> '
             "without gain and bias"
         )
-    plant = board.plant.axes[drive.axis]
+    plant = boards[drive.axis // AXES].plant.axes[drive.axis % AXES]
     armature = float(model.actuator_armature[actuator])
     if not math.isclose(armature, plant.inertia, rel_tol=_INERTIA_TOLERANCE):
         raise CouplingError(

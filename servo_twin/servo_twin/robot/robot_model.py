@@ -1,0 +1,278 @@
+"""An MJCF file whose ``<custom>`` part says which axes drive its joints (servo_twin/doc/coupling.md)."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, get_args
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.board_parameters import Assignment, parse
+from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.text_file import parse_toml
+
+from servo_twin.board import Board
+from servo_twin.level import Level
+from servo_twin.plant import PlantConfig
+from servo_twin.robot.coupling import CouplingError, Drive, Mode, RobotDrives
+from servo_twin.servo_config import ServoConfig, servo_table
+
+_PREFIX: Final = "servo."
+_START: Final = "start"  # name of the keyframe of the initial state
+_HOLD: Final = "servo.hold"  # beginning of the names of the constraints that act until the motion begins
+_AXIS: Final = re.compile(r"axis([1-9])")
+_TEXTS: Final = "axisN, home.axisN, plant.NAME, config.NAME, param.NAME"
+
+_Array = NDArray[np.float64]
+
+
+class RobotModel:
+    """A model, the drives of its joints, and how it moves.
+
+    Parameters
+    ----------
+    path : Path
+        MJCF file.
+
+    Raises
+    ------
+    CouplingError
+        If a text or number of its ``<custom>`` part with the prefix ``servo.`` is wrong.
+    ValueError
+        If MuJoCo cannot read the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise CouplingError(f"{path}: no such file")
+        self.path = path
+        self.model = mujoco.MjModel.from_xml_path(str(path))
+        self._plant: list[tuple[int, str, float]] = []  # board, name in the plant file, value
+        self._config: list[tuple[int, str, object]] = []  # board, name in servo.toml, value
+        self._parameters: list[Assignment] = []  # of every board
+        self.drives: list[Drive] = []
+        self.homing: dict[int, str] = {}  # method by index of the axis
+        self.feedback: dict[int, _Array] = {}  # gains of each deviation from qpos0 and of each speed, by axis
+        for name, text in self._custom():
+            try:
+                self._take(name, text)
+            except ValueError as error:
+                raise CouplingError(f"{path}: '{_PREFIX}{name}' in <custom>: {error}") from None
+        self.drives.sort(key=lambda drive: drive.axis)
+        if not self.drives:
+            raise CouplingError(
+                f'{path}: no axis; write <custom><text name="{_PREFIX}axis1" data="ACTUATOR"/></custom>'
+            )
+
+    def _custom(self) -> list[tuple[str, str | _Array]]:
+        """Entries of ``<custom>`` with our prefix."""
+        model = self.model
+        found: list[tuple[str, str | _Array]] = []
+        for i in range(model.ntext):
+            begin, end = model.text_adr[i], model.text_adr[i] + model.text_size[i] - 1  # without the final zero
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, i)
+            found.append((name, bytes(model.text_data[begin:end]).decode()))
+        for i in range(model.nnumeric):
+            begin, end = model.numeric_adr[i], model.numeric_adr[i] + model.numeric_size[i]
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_NUMERIC, i)
+            found.append((name, model.numeric_data[begin:end].copy()))
+        return [(name.removeprefix(_PREFIX), value) for name, value in found if name.startswith(_PREFIX)]
+
+    def _take(self, name: str, value: str | _Array) -> None:
+        kind, _, rest = name.partition(".")
+        if not isinstance(value, str):
+            if kind != "feedback":
+                raise ValueError("no such number; there is feedback.axisN")
+            if len(value) != 2 * self.model.nv:
+                raise ValueError(f"{len(value)} numbers; write {2 * self.model.nv}: gains of angles, then of speeds")
+            self.feedback[_axis(rest)] = value
+        elif kind == "plant":
+            board, entry = _of_board(rest)
+            number = parse_toml(f"value = {value}")["value"]
+            if isinstance(number, bool) or not isinstance(number, (int, float)):
+                raise ValueError(f"{value} is not a number")
+            self._plant.append((board, entry, float(number)))
+        elif kind == "config":
+            self._config.append((*_of_board(rest), parse_toml(f"value = {value}")["value"]))
+        elif kind == "param":
+            self._parameters.append(parse(f"{name}={value}", Catalogue.load()))
+        elif kind == "home":
+            methods = Catalogue.load().enums["home_method_t"]
+            if value not in methods:
+                raise ValueError(f"no method {value}; write {', '.join(methods)}")
+            self.homing[_axis(rest)] = value
+        elif _AXIS.fullmatch(name):
+            actuator, _, mode = value.rpartition(" ")
+            if mode not in get_args(Mode):
+                actuator, mode = value, "POSITION"
+            self.drives.append(Drive(actuator, _axis(name), mode))  # type: ignore[arg-type]
+        else:
+            raise ValueError(f"no such entry; there are {_TEXTS}")
+
+    def release(self, data: Any) -> None:
+        """End the constraints that act until the motion begins."""
+        for k in range(self.model.neq):
+            if (self.model.equality(k).name or "").startswith(_HOLD):
+                data.eq_active[k] = 0
+
+    def corrections(self, data: Any) -> _Array:
+        """Feedback of the state, shape (nu,): minus gains times deviation from qpos0 and times speed."""
+        state = np.empty(2 * self.model.nv)
+        mujoco.mj_differentiatePos(self.model, state[: self.model.nv], 1.0, self.model.qpos0, data.qpos)
+        state[self.model.nv :] = data.qvel
+        result = np.zeros(self.model.nu)
+        for drive in self.drives:
+            if drive.axis in self.feedback:
+                result[self.model.actuator(drive.actuator).id] = -self.feedback[drive.axis] @ state
+        return result
+
+    def start(self) -> Any:
+        """New ``mjData``: that of the keyframe ``start`` if there is one."""
+        data = mujoco.MjData(self.model)
+        key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, _START)
+        if key >= 0:
+            mujoco.mj_resetDataKeyframe(self.model, data, key)
+        mujoco.mj_forward(self.model, data)
+        return data
+
+    def robot(self, plant: PlantConfig, *, seed: int = 1, level: Level | None = None) -> RobotDrives:
+        """The robot with new boards, whose shafts have the angles of the model.
+
+        Parameters
+        ----------
+        plant : PlantConfig
+            Plant of every board, before the changes by the file.
+        seed : int
+            Seed of the first board; each further one has the next.
+        level : {"registers", "ideal"}, optional
+            Level of the boards.
+
+        Raises
+        ------
+        CouplingError
+            If a drive does not fit the model, or a value of the file is not valid.
+        """
+        data = self.start()
+        plants = [plant] * (1 + max(drive.axis for drive in self.drives) // AXES)
+        for board, name, value in self._plant:
+            with self._checking():
+                plants[board] = plants[board].with_value(name, value)
+        for drive in self.drives:
+            actuator = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, drive.actuator)
+            if actuator >= 0:  # otherwise refused by RobotDrives
+                board, axis = divmod(drive.axis, AXES)
+                plants[board] = plants[board].with_axis(axis, theta_start=float(data.actuator_length[actuator]))
+        boards = [Board(plants[k], seed=seed + k, level=level, servo=self._servo_config(k)) for k in range(len(plants))]
+        for one in boards:
+            for assignment in self._parameters:
+                if not one.write_words(assignment.variable.name, assignment.raw, assignment.element or 0):
+                    raise CouplingError(f"{self.path}: {assignment.text}: refused by the firmware")
+        return RobotDrives(self.model, data, boards, self.drives)
+
+    def _servo_config(self, board: int) -> ServoConfig | None:
+        """Configuration of a board; None: that of the firmware."""
+        changes = [(name, value) for of, name, value in self._config if of == board]
+        if not changes:
+            return None
+        table: dict[str, Any] = copy.deepcopy(dict(servo_table()))
+        for name, value in changes:
+            *groups, last = name.split(".")
+            place = table
+            for group in groups:
+                place = place.setdefault(group, {})
+            place[last] = value
+        with self._checking():
+            return ServoConfig.of_table(table)
+
+    @contextmanager
+    def _checking(self) -> Iterator[None]:
+        """Name the file in errors."""
+        try:
+            yield
+        except ValueError as error:
+            raise CouplingError(f"{self.path}: {error}") from None
+
+
+def _axis(name: str) -> int:
+    """Index of ``axisN``."""
+    match = _AXIS.fullmatch(name)
+    if match is None:
+        raise ValueError(f"{name!r} is no axis; write axis1, axis2, ...")
+    return int(match[1]) - 1
+
+
+def _of_board(name: str) -> tuple[int, str]:
+    """Board of a name that begins with ``axisN``, and the name at that board; others belong to the first board."""
+    first, _, rest = name.partition(".")
+    if _AXIS.fullmatch(first) is None:
+        return 0, name
+    board, axis = divmod(_axis(first), AXES)
+    return board, f"axis{axis + 1}.{rest}"
+
+
+class Motion:
+    """Control signals as a smooth function of time, through the keyframes of a model.
+
+    Between keyframes each signal is a cubic without overshoot (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput.
+    5, 1984); it rests at an extremum and at the end. The keyframe ``start`` is not part of it.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The model; `time` of its keyframes is the time since the begin of the motion [s].
+    begin : ndarray, shape (nu,)
+        Control signals at time 0.
+
+    Raises
+    ------
+    CouplingError
+        If the times do not increase.
+    """
+
+    def __init__(self, model: Any, begin: _Array) -> None:
+        keys = [k for k in range(model.nkey) if model.key(k).name != _START]
+        self.time = np.array([0.0, *(model.key_time[k] for k in keys)])
+        self.ctrl = np.array([begin, *(model.key_ctrl[k] for k in keys)])
+        gaps = np.diff(self.time)
+        if (gaps <= 0.0).any():
+            late = keys[int(np.argmax(gaps <= 0.0))]
+            raise CouplingError(
+                f"keyframe {late} '{model.key(late).name}': its time {model.key_time[late]:g} s is not after the one "
+                f'before it; write <key time="..."> in increasing order, or name="{_START}" for the initial state'
+            )
+        self._slope = _slopes(gaps, np.diff(self.ctrl, axis=0))
+
+    def __call__(self, times: _Array) -> _Array:
+        """Control signals, each at its own time since the begin [s]."""
+        last = len(self.time) - 1
+        t = np.clip(times, 0.0, self.time[-1])
+        k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, max(last - 1, 0))
+        n, column = np.minimum(k + 1, last), np.arange(len(t))
+        h = np.where(n > k, self.time[n] - self.time[k], 1.0)
+        s = (t - self.time[k]) / h
+        from_, to, begin, end = (
+            self.ctrl[k, column],
+            self.ctrl[n, column],
+            self._slope[k, column],
+            self._slope[n, column],
+        )
+        rise = s * s * (3.0 - 2.0 * s)
+        return np.asarray(from_ + rise * (to - from_) + h * s * (1.0 - s) * ((1.0 - s) * begin - s * end))
+
+
+def _slopes(gaps: _Array, steps: _Array) -> _Array:
+    """Slope at each point: harmonic mean of both sides, weighted by their lengths; 0 at an extremum and at the ends."""
+    result = np.zeros((len(gaps) + 1, steps.shape[1]))
+    if len(gaps) < 2:
+        return result
+    left, right = steps[:-1] / gaps[:-1, None], steps[1:] / gaps[1:, None]
+    weight = (gaps[:-1] + 2.0 * gaps[1:])[:, None] / (3.0 * (gaps[1:] + gaps[:-1]))[:, None]
+    same = left * right > 0.0
+    mean = (1.0 - weight) * left + weight * right
+    result[1:-1][same] = (left * right)[same] / mean[same]
+    return result

@@ -1,0 +1,169 @@
+"""``servo-sim robot``: examples in MuJoCo, and what an MJCF file says about its axes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from servo_msgs_py.board_port import active, read_axis
+from servo_twin.cli import main
+from servo_twin.level import FAST_LEVEL, Level, chosen_level
+from servo_twin.plant import PlantConfig
+
+pytest.importorskip("mujoco", reason="there is no MuJoCo 4 for Python 3.10")
+
+import mujoco
+from servo_twin.robot.command import EXAMPLES, RobotLog, follow, load
+from servo_twin.robot.coupling import CouplingError, RobotDrives
+from servo_twin.robot.robot_model import Motion, RobotModel
+
+PLANT: Final = PlantConfig.load()
+
+both_levels: Final = pytest.mark.usefixtures("level")
+
+
+def present_level() -> Level:
+    return chosen_level(default=FAST_LEVEL)
+
+
+def moved(name: str, seconds: float | None = None) -> tuple[RobotDrives, RobotLog]:
+    robot = load(name)
+    drives = robot.robot(PLANT, level=present_level())
+    return drives, follow(robot, drives, seconds)
+
+
+@both_levels
+def test_arm_follows_its_path() -> None:
+    _, log = moved("arm", 1.5)
+    assert np.abs(log.angle).max() > 40.0
+    assert np.abs(log.angle - log.set_point).max() < 0.1  # at the motors
+    assert np.abs(100.0 * log.torque).max() < 5.0
+
+
+@both_levels
+def test_gripper_holds_the_box_with_the_current_limit() -> None:
+    drives, log = moved("gripper")
+    limit = 0.5 * PLANT.axes[0].torque_constant
+    held = log.torque[log.time > 1.0, 0]
+    assert held.mean() == pytest.approx(limit, rel=0.03)
+    assert held.max() < 1.1 * limit
+    box = drives.data.body("box").xpos
+    assert box[2] == pytest.approx(0.13, abs=0.003)  # 0.1 m above its rest
+    assert abs(box[0]) < 1e-3
+
+
+@both_levels
+def test_end_stop_and_switch_of_the_model_are_found() -> None:
+    drives, _ = moved("homing", 1.5)
+    board = drives.boards[0]
+    zero = drives.lengths() - [read_axis(board, f"axis{axis}.position", 0) for axis in (1, 2)]
+    assert zero[0] == pytest.approx(-0.02 * 500.0, abs=0.1)  # the stop yields under the force of the homing
+    assert zero[1] == pytest.approx(-10.0, abs=0.02)  # the edge of the home switch
+    drives.data.ctrl[1] = -25.0  # beyond the limit switch at -22
+    drives.wait(1.0)
+    assert active(board, 1) == {"LIMIT_SWITCH"}
+
+
+def test_pendulum_stands() -> None:
+    drives, log = moved("pendulum", 3.0)
+    pole = drives.data.joint("pole")
+    assert abs(pole.qpos[0]) < 0.005
+    assert np.abs(log.torque).max() < 0.1
+    robot = load("pendulum")
+    robot.feedback.clear()
+    falls = robot.robot(PLANT, level=present_level())
+    follow(robot, falls, 3.0)
+    assert abs(falls.data.joint("pole").qpos[0]) > math.pi / 2
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("four_bar", 2.0), ("gantry", 2.5)])
+def test_work_of_the_motors_is_energy_and_loss(name: str, seconds: float) -> None:
+    """Work of motors, constraints (friction, loops) and dampers against kinetic and potential energy."""
+    robot = load(name)
+    drives = robot.robot(PLANT, level=present_level())
+    model, data = drives.model, drives.data
+    drives.enable()
+    motion, begin = Motion(model, data.ctrl.copy()), data.time
+    mujoco.mj_energyPos(model, data)
+    mujoco.mj_energyVel(model, data)
+    before, work, exchanged = float(data.energy.sum()), 0.0, 0.0
+    for _ in range(round(seconds / model.opt.timestep)):
+        data.ctrl[:] = motion(np.full(model.nu, data.time - begin))
+        torque, lengths, position, speed = drives.torques(), drives.lengths(), data.qpos.copy(), data.qvel.copy()
+        drives.step()
+        gained = float(torque @ (drives.lengths() - lengths))
+        damping = -float(model.dof_damping @ (0.5 * (speed + data.qvel) * (data.qpos - position)))
+        work += gained + damping + float(data.qfrc_constraint @ (data.qpos - position))
+        exchanged += abs(gained)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_energyPos(model, data)
+    mujoco.mj_energyVel(model, data)
+    assert exchanged > 0.5
+    assert float(data.energy.sum()) - before == pytest.approx(work, abs=0.01 * exchanged)
+    if name == "four_bar":
+        assert np.abs(data.efc_pos[: model.neq * 3]).max() < 1e-3  # the loop is closed [m]
+    else:
+        assert np.abs(np.diff(drives.lengths())) < 0.1  # the beam is straight
+
+
+@pytest.fixture
+def mjcf(tmp_path: Path) -> Any:
+    """Function that writes the arm with a text of the example replaced, and reads it."""
+
+    def write(old: str, new: str) -> RobotModel:
+        text = (EXAMPLES / "arm.xml").read_text(encoding="utf-8")
+        assert old in text
+        path = tmp_path / "robot.xml"
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        return RobotModel(path)
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('data="elbow TRAJECTORY"', 'data="hand"', "actuator 'hand': not in the model; its actuators: shoulder, elbow"),
+        ('data="elbow TRAJECTORY"', 'data="shoulder"', "'shoulder': two drives have it"),
+        ("servo.axis2", "servo.axis3", "is not the inertia of axis3"),
+        ("servo.axis2", "servo.axes", r"robot.xml: 'servo.axes' in <custom>: no such entry; there are axisN"),
+        ('timestep="0.0005"', 'timestep="0.0003"', "time step 0.0003 s .* not a multiple"),
+        ("<custom>", '<custom><text name="servo.home.axis1" data="UP"/>', "no method UP; write NONE, HERE"),
+        ("<custom>", '<custom><text name="servo.home.x" data="HERE"/>', "'x' is no axis"),
+        (
+            "<custom>",
+            '<custom><text name="servo.plant.axis1.inertia" data="x"/>',
+            "'servo.plant.axis1.inertia'.*line 1",
+        ),
+        ("<custom>", '<custom><text name="servo.plant.axis1.mass" data="1"/>', "robot.xml: axis1.mass: .*no such"),
+        ("<custom>", '<custom><text name="servo.config.axis1.pin.home" data="true"/>', "robot.xml: .*pin"),
+        ("<custom>", '<custom><text name="servo.param.i_q_max" data="1"/>', "'servo.param.i_q_max'.*i_q_limit"),
+        ("<custom>", '<custom><numeric name="servo.feedback.axis1" data="1 2"/>', "2 numbers; write 4"),
+        ("<custom>", '<custom><numeric name="servo.gain" data="1"/>', "no such number; there is feedback.axisN"),
+        ('<key time="1" ', '<key name="k" time="0.1" ', "keyframe 1 'k': its time 0.1 s is not after"),
+    ],
+)
+def test_what_does_not_fit_is_refused(mjcf: Any, old: str, new: str, message: str) -> None:
+    def use() -> None:
+        robot = mjcf(old, new)
+        drives = robot.robot(PLANT, level=present_level())
+        Motion(robot.model, drives.data.ctrl)
+
+    with pytest.raises(CouplingError, match=message):
+        use()
+
+
+def test_command_writes_figures_and_a_plot(mjcf: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mjcf('<key time="0.5"', '<key name="start"/><key time="0.5"')
+    plot = tmp_path / "plot.png"
+    assert main(["robot", str(tmp_path / "robot.xml"), "--time", "0.1", "--json", "--plot", str(plot)]) == 0
+    assert json.loads(capsys.readouterr().out)["elbow"]["error_max"] < 1e-3
+    assert plot.stat().st_size > 10_000
+    assert main(["robot", str(tmp_path / "none.xml")]) == 1
+    assert "none.xml: no such file" in capsys.readouterr().err
+    assert main(["robot", "arm", "--time", "0.1"]) == 0
+    assert "elbow     TRAJECTORY" in capsys.readouterr().out
