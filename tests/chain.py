@@ -193,9 +193,9 @@ class Chain:
             pytest.skip(f"{name} is not installed next to {sys.executable}")
         return self._launch(name, [str(path), *arguments])
 
-    def board(self, seed: int = 5, flash: Path | None = None) -> Process:
-        """Start a board and wait for its port."""
-        options = ["--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed)]
+    def board(self, seed: int = 5, flash: Path | None = None, options: Sequence[str] = ()) -> Process:
+        """Start a board, with more options of ``virtual_board``, and wait for its port."""
+        options = ["--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed), *options]
         options += ["--flash", str(flash)] if flash else []
         board = self._start(BOARD, *options)
         wait_for(self.port.exists, 10.0, board.text)

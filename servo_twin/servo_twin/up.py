@@ -32,6 +32,7 @@ from servo_msgs_py import argument, board_parameters
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, LEVEL_VARIABLE, Level, add_level_option, chosen_level
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
+from servo_twin.robot.command import MODEL_HELP
 
 _PATIENCE: Final = 15.0  # until a message about what has not happened yet [s]; nothing fails because it is late
 _LOOK: Final = 3.0  # for a servo on another machine [s]
@@ -87,6 +88,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--baud", type=argument.count, default=115200, help="line speed [bit/s] (default: %(default)s)")
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board and of its twin")
+    result.add_argument("--robot", metavar="MODEL", help=MODEL_HELP)
     result.add_argument("--twin-plant", type=Path, help="plant file of the twin (default: --plant)")
     result.add_argument(
         "--thresholds", type=Path, help="threshold file of `servo_twin calibrate` for the diagnosis of the twin"
@@ -212,9 +214,10 @@ def _suitable_level(boards: int) -> Level:
 
 def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     link = folder / "board"
-    plant = ["--plant", str(args.plant)] if args.plant else []
+    given = [("--plant", args.plant), ("--robot", args.robot)]
+    more = [text for option, value in given if value for text in (option, str(value))]
     _print(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {args.level}")
-    stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *plant)
+    stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *more)
     stack.wait(link.exists, "the port of the virtual board")
     return str(link)
 

@@ -28,9 +28,11 @@ from servo_msgs_py.runtime.program import complain, deferred, program
 from servo_msgs_py.text_file import TextFileError, read_bytes
 
 from servo_msgs_py import argument
-from servo_twin.board import FLASH_BYTES, Board
+from servo_twin.board import FLASH_BYTES, Board, SimulationError
 from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig
+from servo_twin.robot.command import MODEL_HELP as ROBOT_HELP
+from servo_twin.robot.command import load as load_robot
 
 MAX_LAG_S: Final = 0.05
 """Largest backlog that is caught up; a longer one is skipped and counted as a slip [s]."""
@@ -368,6 +370,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="file for the contents of the data flash (default: lost at the end)",
     )
+    parser.add_argument("--robot", metavar="MODEL", help=ROBOT_HELP)
     add_level_option(parser, "the board is")
     parser.add_argument(
         "--speed", type=argument.positive, default=1.0, help="simulated seconds per second (default: %(default)g)"
@@ -382,18 +385,11 @@ def main(argv: list[str] | None = None) -> int:
     with contextlib.ExitStack() as owned:
         try:
             flash = owned.enter_context(_flash_file(options.flash)) if options.flash else None
-            board = owned.enter_context(
-                Board(
-                    PlantConfig.load(options.plant),
-                    seed=options.seed,
-                    baud=options.baud,
-                    level=options.level,
-                    flash=flash.image if flash else None,
-                )
-            )
+            simulated, board = _simulated(options, flash.image if flash else None)
+            owned.enter_context(board)
             stop = owned.enter_context(deferred())
             line = owned.enter_context(Terminal(options.link))
-        except (LinkError, ValueError) as error:
+        except (LinkError, SimulationError, ValueError) as error:
             return _print_error(str(error), 2)
         update_flash = _flash_updater(board, flash)
         where = f"{options.link} -> {line.device}" if options.link else line.device
@@ -402,12 +398,25 @@ def main(argv: list[str] | None = None) -> int:
         if options.link:
             write_virtual_board(options.link, _facts(board, options, line.device))
         pacer = Pacer(time.monotonic_ns(), speed=options.speed)
-        serve(board, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=update_flash)
+        serve(simulated, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=update_flash)
         print(
             f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
             f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
         )
     return 0
+
+
+def _simulated(options: argparse.Namespace, flash: bytes | None) -> tuple[_Board, Board]:
+    """What is simulated, and the board that is, or is part of, it."""
+    settings = {"seed": options.seed, "baud": options.baud, "level": options.level, "flash": flash}
+    plant = PlantConfig.load(options.plant)
+    if options.robot is None:
+        board = Board(plant, **settings)
+        return board, board
+    drives = load_robot(options.robot).robot(plant, by_ctrl=False, **settings)
+    from servo_twin.robot.coupling import SerialRobot  # needs MuJoCo
+
+    return SerialRobot(drives), drives.boards[0]
 
 
 def _facts(board: Board, options: argparse.Namespace, device: str) -> VirtualBoard:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from servo_twin.robot.robot_model import RobotModel
 
 EXAMPLES: Final = Path(__file__).with_name("examples")
+MODEL_HELP: Final = "MuJoCo model (MJCF) with joints that the board moves, or an example: " + ", ".join(
+    sorted(path.stem for path in EXAMPLES.glob("*.xml"))
+)
 _REST: Final = 1.0  # simulated after the last keyframe [s]
 
 _Array = NDArray[np.float64]
@@ -42,7 +45,6 @@ class RobotLog(NamedTuple):
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
     """Add ``robot`` to the commands of ``servo-sim``; parameters as of `sweep.command.add_parser`."""
-    examples = ", ".join(sorted(path.stem for path in EXAMPLES.glob("*.xml")))
     parser = verbs.add_parser(
         "robot",
         parents=[common, levelled],
@@ -50,7 +52,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         description="Move the joints of a MuJoCo model by the firmware: search the rotors, home, follow the keyframes. "
         "The <custom> part of the MJCF file says which axes drive which actuators (servo_twin/doc/coupling.md).",
     )
-    parser.add_argument("model", metavar="MODEL", help=f"MJCF file, or an example: {examples}")
+    parser.add_argument("model", metavar="MODEL", help=MODEL_HELP)
     parser.add_argument(
         "--time", type=argument.positive, help=f"of the motion [s] (default: {_REST:g} s after the last keyframe)"
     )

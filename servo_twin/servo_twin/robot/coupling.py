@@ -103,6 +103,35 @@ class RobotPort:
         return self.board.write_words(name, words, first)
 
 
+class SerialRobot:
+    """A robot in place of its board for `servo_twin.virtual_board.serve`: time advances in steps of the model.
+
+    Raises
+    ------
+    CouplingError
+        If the robot has more than one board.
+    """
+
+    def __init__(self, robot: RobotDrives) -> None:
+        if len(robot.boards) > 1:
+            raise CouplingError(
+                f"the robot has {len(robot.boards)} boards, a serial line one; name the axes axis1 and axis2 only"
+            )
+        self._robot, (self._board,) = robot, robot.boards
+        self.serial_in, self.serial_out = self._board.serial_in, self._board.serial_out
+        self.serial_next_ns = self._board.serial_next_ns
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time since reset [ns]."""
+        return self._board.time_ns
+
+    def advance(self, until_ns: int) -> None:
+        """Make all steps that end until this simulated time [ns]."""
+        while self.time_ns + self._robot.step_ns <= until_ns:
+            self._robot.step()
+
+
 class RobotDrives:
     """Boards whose axes move joints of a MuJoCo model.
 
@@ -128,7 +157,7 @@ class RobotDrives:
     def __init__(self, model: Any, data: Any, boards: Board | Sequence[Board], drives: Sequence[Drive]) -> None:
         self.model, self.data, self.drives = model, data, tuple(drives)
         self.boards = (boards,) if isinstance(boards, Board) else tuple(boards)
-        self._step_ns = _step_ns(model)
+        self.step_ns = _step_ns(model)
         _check_once(self.drives)
         ids = [_actuator(model, self.boards, drive) for drive in self.drives]
         joints = [int(model.actuator_trnid[i, 0]) for i in ids]
@@ -148,11 +177,11 @@ class RobotDrives:
         # TRAJECTORY one and two points ago; tick of the firmware at time 0 of its board [PWM periods].
         self._numbers = np.full((4, len(ids)), math.nan)
         self._time = float(data.time)
-        self._point_steps = -(-_POINT_NS // self._step_ns)
+        self._point_steps = -(-_POINT_NS // self.step_ns)
         for drive, (board, axis) in zip(self.drives, self._where, strict=True):
             if drive.mode is not None:
                 choose(board, "cmd.mode", axis, drive.mode)
-            if drive.mode == "TRAJECTORY" and self._step_ns % TICK_NS:
+            if drive.mode == "TRAJECTORY" and self.step_ns % TICK_NS:
                 raise CouplingError(
                     f"actuator '{drive.actuator}': in mode TRAJECTORY the time step of the model is a multiple of "
                     'a slow tick; write for example <option timestep="0.0005"/>'
@@ -164,7 +193,7 @@ class RobotDrives:
         """Time from each control signal of mode TRAJECTORY until the shaft is at its angle [s]; 0 for other signals."""
         result = np.zeros(self.model.nu)
         paths = [drive.mode == "TRAJECTORY" for drive in self.drives]
-        result[self.channels[paths]] = (2 * self._point_steps * self._step_ns + _AHEAD_NS) * 1e-9
+        result[self.channels[paths]] = (2 * self._point_steps * self.step_ns + _AHEAD_NS) * 1e-9
         return result
 
     def lengths(self) -> _Array:
@@ -209,13 +238,13 @@ class RobotDrives:
         """Let the boards follow the motion of the model; mean torque of each motor since the previous step [N m]."""
         before = [board.truth(axis).impulse_e for board, axis in self._where]
         speeds, angles = self.speeds(), self.lengths() + self._offset
-        ends = {board: (board.time_ns // self._step_ns + 1) * self._step_ns for board in self.boards}
+        ends = {board: (board.time_ns // self.step_ns + 1) * self.step_ns for board in self.boards}
         for (board, axis), angle, speed in zip(self._where, angles.tolist(), speeds.tolist(), strict=True):
             board.drive_shaft(axis, angle, speed, (ends[board] - board.time_ns) * 1e-9)
         for board, end_ns in ends.items():
             board.advance(end_ns)
         after = [board.truth(axis).impulse_e for board, axis in self._where]
-        return np.subtract(after, before) / (self._step_ns * 1e-9)
+        return np.subtract(after, before) / (self.step_ns * 1e-9)
 
     def _command(self) -> None:
         """Give the control signals to the firmware."""
@@ -237,14 +266,14 @@ class RobotDrives:
                 write_axis(board, _VARIABLES[drive.mode], axis, signal)
             except ValueError as error:
                 raise CouplingError(f"actuator '{drive.actuator}': {error}") from None
-        if round(self._time * 1e9) // self._step_ns % self._point_steps == 0:
+        if round(self._time * 1e9) // self.step_ns % self._point_steps == 0:
             self._send_points(signals)
 
     def _send_points(self, signals: _Array) -> None:
         """Send the previous control signals of mode TRAJECTORY as timed points, with their central differences."""
         zero, last, before_last, ticks = self._numbers
         aligned = np.isfinite(zero)
-        interval_ns = self._point_steps * self._step_ns
+        interval_ns = self._point_steps * self.step_ns
         speeds = (signals - before_last) / (2e-9 * interval_ns)
         for board in self.boards:
             points = [

@@ -6,6 +6,7 @@ import copy
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -140,7 +141,16 @@ class RobotModel:
         mujoco.mj_forward(self.model, data)
         return data
 
-    def robot(self, plant: PlantConfig, *, seed: int = 1, level: Level | None = None) -> RobotDrives:
+    def robot(
+        self,
+        plant: PlantConfig,
+        *,
+        seed: int = 1,
+        level: Level | None = None,
+        baud: float = 115200.0,
+        flash: bytes | None = None,
+        by_ctrl: bool = True,
+    ) -> RobotDrives:
         """The robot with new boards, whose shafts have the angles of the model.
 
         Parameters
@@ -151,6 +161,10 @@ class RobotModel:
             Seed of the first board; each further one has the next.
         level : {"registers", "ideal"}, optional
             Level of the boards.
+        baud, flash
+            See `Board`.
+        by_ctrl : bool
+            Whether `ctrl` commands the axes; else another host does, and the motion begins now.
 
         Raises
         ------
@@ -167,12 +181,18 @@ class RobotModel:
             if actuator >= 0:  # otherwise refused by RobotDrives
                 board, axis = divmod(drive.axis, AXES)
                 plants[board] = plants[board].with_axis(axis, theta_start=float(data.actuator_length[actuator]))
-        boards = [Board(plants[k], seed=seed + k, level=level, servo=self._servo_config(k)) for k in range(len(plants))]
+        boards = [
+            Board(plants[k], seed=seed + k, level=level, baud=baud, servo=self._servo_config(k), flash=flash)
+            for k in range(len(plants))
+        ]
         for one in boards:
             for assignment in self._parameters:
                 if not one.write_words(assignment.variable.name, assignment.raw, assignment.element or 0):
                     raise CouplingError(f"{self.path}: {assignment.text}: refused by the firmware")
-        return RobotDrives(self.model, data, boards, self.drives)
+        if by_ctrl:
+            return RobotDrives(self.model, data, boards, self.drives)
+        self.release(data)
+        return RobotDrives(self.model, data, boards, [replace(drive, mode=None) for drive in self.drives])
 
     def _servo_config(self, board: int) -> ServoConfig | None:
         """Configuration of a board; None: that of the firmware."""
