@@ -28,7 +28,7 @@ setup(
     extras_require={
         "plot": ["matplotlib"],
         # Recordings of runs (servo_msgs_py.run_file).
-        "record": ["mcap>=1.6", "rosbags>=0.11.9", "pyyaml", "zstandard"],
+        "record": ["lz4", "mcap>=1.6", "rosbags>=0.11.9", "pyyaml", "zstandard"],
         # Only for machines without ROS 2: there these come as wheels.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces", "pyyaml"],
         "test": ["pytest", "hypothesis"],

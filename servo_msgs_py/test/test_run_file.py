@@ -5,12 +5,17 @@ from __future__ import annotations
 import random
 import resource
 import shutil
+import struct
+import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability
@@ -133,6 +138,24 @@ def test_a_damaged_chunk_is_left_out(tmp_path: Path) -> None:
     reader = RunReader(path)
     assert list(reader.records()) == messages(40) + messages(40, 50)
     assert reader.troubles == [f"{path}: 1 damaged chunk left out"]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_no_record_takes_more_memory_than_the_bound(compression: str, tmp_path: Path) -> None:
+    """Of a chunk that is small when packed, states another size than it has, or is large on the disk."""
+    path, zeros = tmp_path / "run.mcap", bytes(300_000_000)
+    packed = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
+    for stated, length in ((len(zeros), 0), (1000, 0), (1000, 300_000_000)):
+        body = struct.pack("<QQQII", 0, 0, stated, 0, len(compression)) + compression.encode()
+        body += struct.pack("<Q", len(packed)) + packed
+        path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", Opcode.CHUNK, length or len(body)) + body)
+        reader = RunReader(path)
+        tracemalloc.start()
+        assert list(reader.records()) == []
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+        tracemalloc.stop()
+        bound = f"{path} ends at a record of more than 256000000 bytes, the largest size"
+        assert reader.troubles[0] == (bound if length else f"{path}: 1 damaged chunk left out")
 
 
 @contextmanager

@@ -11,17 +11,25 @@ from collections.abc import Collection, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from zlib import crc32
 
 import yaml
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+from mcap.exceptions import (
+    EndOfFile,
+    InvalidMagic,
+    McapError,
+    RecordLengthLimitExceeded,
+    UnsupportedCompressionError,
+)
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Message, Schema
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader
 from mcap.well_known import MessageEncoding
 from rosbags.rosbag2 import Reader as BagReader
 from rosbags.rosbag2 import ReaderError
-from zstandard import ZstdError
+from zstandard import ZstdDecompressor, ZstdError
 
 from servo_msgs_py.run_file.series import segment, segments, split
 from servo_msgs_py.text_file import read_text
@@ -34,6 +42,9 @@ _REMEDY: Final = "give a .mcap or .db3 file, or the folder of a bag"
 _DAMAGE: Final = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError)
 """Errors of the libraries for damaged contents."""
 
+
+_BYTES_MAX: Final = 256_000_000
+"""Largest record of an MCAP file, packed and unpacked [bytes]."""
 
 _LOST: Final = f"/{RUN_LOST}"
 
@@ -156,11 +167,10 @@ class RunReader:
         damaged, entry = 0, None
         with file.open("rb") as stream:
             try:
-                for entry in StreamReader(stream, emit_chunks=True).records:
+                for entry in StreamReader(stream, emit_chunks=True, record_size_limit=_BYTES_MAX).records:
                     if isinstance(entry, Chunk):
                         try:
-                            chunk, size = get_chunk_data_stream(entry, validate_crc=True)
-                            data = chunk.read(size)
+                            data = _unpacked(entry)
                         except _DAMAGE:
                             damaged += 1
                         else:
@@ -174,6 +184,8 @@ class RunReader:
             except InvalidMagic:
                 if entry is None:
                     raise RunFileError(f"{file} is no MCAP file; {_REMEDY}") from None
+            except RecordLengthLimitExceeded:
+                self.troubles.append(f"{file} ends at a record of more than {_BYTES_MAX} bytes, the largest size")
             except _DAMAGE as error:
                 damaged += not isinstance(error, EndOfFile)
         self.troubles += [f"{file}: {topic} is not read, its encoding is not cdr" for topic in sorted(channels.foreign)]
@@ -217,6 +229,28 @@ class _Channels:
                 self.foreign.add(entry.topic)
             elif self._wanted is None or entry.topic in self._wanted or entry.topic.endswith(_LOST):
                 self.taken[entry.id] = (entry.topic, self._types.get(entry.schema_id, ""))
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Contents of a chunk: as `mcap.stream_reader.get_chunk_data_stream`, but never more than the chunk states.
+
+    Raises
+    ------
+    McapError, ZstdError, RuntimeError, ValueError
+        If it is damaged, or larger than a record may be.
+    """
+    size, data = chunk.uncompressed_size, chunk.data
+    if size > _BYTES_MAX:
+        raise ValueError(f"{size} bytes")
+    if chunk.compression == "zstd":
+        data = ZstdDecompressor().stream_reader(data).read(size)
+    elif chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(data, size)
+    elif chunk.compression:
+        raise UnsupportedCompressionError(chunk.compression)
+    if len(data) != size or chunk.uncompressed_crc not in (0, crc32(data)):
+        raise ValueError("not what the chunk states")
+    return data
 
 
 def _messages(data: bytes, channels: _Channels) -> Iterator[Record]:
