@@ -40,7 +40,7 @@ NEIGHBOURS = {"servo_msgs_py": set(), "servo_bridge": {"servo_msgs_py"}, "servo_
 # Modules whose name is not the rosdep key in package.xml, and modules that have no key.
 MODULES_OF_KEY = {"python3-serial": {"serial"}, "python3-cffi": {"cffi"}}
 WITHOUT_KEY = {
-    "servo_msgs_py": {"mcap", "rosbags", "tomli", "zstandard"},
+    "servo_msgs_py": {"lz4", "mcap", "rosbags", "tomli", "zstandard"},
     "servo_bridge": {"argcomplete", "rerun", "tomli"},
     "servo_twin": {"mujoco", "pyarrow", "rerun", "tomli"},
 }
@@ -327,9 +327,10 @@ class Workspace:
     folder: Path  # root of the workspace; its packages are in ``src``
 
     def run(self, command: str, folder: str = ".", **environment: str) -> subprocess.CompletedProcess[str]:
-        """Run a command line of the shell after the workspace has been sourced."""
+        """Run a command line of the shell after the environment of colcon is activated and the workspace is sourced."""
         setup = shlex.quote(str(self.folder / "install" / "setup.sh"))
-        env = {**clean_environment(), **environment}
+        path = os.pathsep.join([os.path.join(sys.prefix, "bin"), os.environ["PATH"]])
+        env = {**clean_environment(), "PATH": path, **environment}
         return run("bash", "-c", f". {setup} && {command}", cwd=self.folder / folder, env=env)
 
     def python(self, program: str, folder: str = ".") -> str:
