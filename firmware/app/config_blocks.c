@@ -19,8 +19,7 @@ static uint32_t checksum(const axis_config_t *block, uint16_t axis)
     crc = crc32_add(crc, AXIS_MEMBERS, 4);
     crc = crc32_add(crc, axis, 4);
     for (uint16_t k = 0; k < AXIS_MEMBERS; k++) {
-        const bool wide = (axis_member_kind(k) & MEMBER_WIDE) != 0U;
-        crc = crc32_add(crc, (uint32_t)axis_member_get(block, k), wide ? 4U : 2U);
+        crc = crc32_add(crc, (uint32_t)axis_member_get(block, k), number_size(axis_member_range(k).kind));
     }
     return crc32_end(crc);
 }
@@ -29,8 +28,8 @@ static uint32_t checksum(const axis_config_t *block, uint16_t axis)
 static uint16_t rest_difference(const axis_config_t *block, const axis_config_t *other)
 {
     uint16_t k = 0;
-    while (k < AXIS_MEMBERS &&
-           ((axis_member_kind(k) & MEMBER_LIVE) != 0U || axis_member_get(block, k) == axis_member_get(other, k))) {
+    while (k < AXIS_MEMBERS && ((axis_member_range(k).kind & NUMBER_LIVE) != 0U ||
+                                axis_member_get(block, k) == axis_member_get(other, k))) {
         k++;
     }
     return k;
@@ -73,7 +72,8 @@ static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, c
     }
     for (uint16_t k = 0; k < count; k++) {
         const uint16_t number = (uint16_t)(first + k);
-        if (!axis_member_accepts(number, get_word(data, (uint16_t)(CONFIG_VALUES + k)))) {
+        const number_range_t range = axis_member_range(number);
+        if (!number_accepts(&range, get_word(data, (uint16_t)(CONFIG_VALUES + k)))) {
             status->refused_member = number;
             return CONFIG_REFUSAL_RANGE;
         }

@@ -29,28 +29,6 @@ static uint32_t value_after(const ranges_memory_t *in, const host_write_t *write
     return value;
 }
 
-uint32_t ranges_get(const variable_range_t *range, const uint8_t *element)
-{
-    return (range->size < sizeof(uint32_t)) ? *(const uint16_t *)(const void *)element
-                                            : *(const uint32_t *)(const void *)element;
-}
-
-void ranges_set(const variable_range_t *range, uint8_t *element, uint32_t value)
-{
-    if (range->size < sizeof value) {
-        *(uint16_t *)(void *)element = (uint16_t)value;
-    } else {
-        *(uint32_t *)(void *)element = value;
-    }
-}
-
-/* The difference from the minimum, modulo the size of the element, compares signed and unsigned numbers alike. */
-bool ranges_accept_value(const variable_range_t *range, uint32_t value)
-{
-    const uint32_t mask = (range->size < sizeof value) ? UINT32_C(0xFFFF) : UINT32_MAX;
-    return ((value - (uint32_t)range->min) & mask) <= (uint32_t)range->max - (uint32_t)range->min;
-}
-
 /* Positions wrap at 32 bits: the direction to a set-point 2^31 counts away is ambiguous, and would depend on the
  * residual movement of the shaft. */
 static bool in_reach(const ranges_memory_t *in, uint16_t axis, uint32_t value)
@@ -78,15 +56,17 @@ static bool is_possible(const ranges_memory_t *in, uint16_t variable, uint16_t a
     return variable != in->feedbacks || value != FEEDBACK_KIND_OBSERVER || axis_observable(&in->axes[axis]);
 }
 
-static bool elements_accept(const ranges_memory_t *in, const variable_range_t *range, const host_write_t *write)
+static bool elements_accept(const ranges_memory_t *in, const variable_range_t *variable, const host_write_t *write)
 {
-    for (uint16_t i = 0; i < range->count; i++) {
-        const uint16_t offset = (uint16_t)(range->offset + i * range->size);
-        if (offset >= write->end || (uint32_t)offset + range->size <= write->begin) {
+    const uint16_t size = number_size(variable->range.kind);
+    for (uint16_t i = 0; i < variable->count; i++) {
+        const uint16_t offset = (uint16_t)(variable->offset + i * size);
+        if (offset >= write->end || (uint32_t)offset + size <= write->begin) {
             continue; /* not part of the write */
         }
-        const uint32_t value = value_after(in, write, offset, range->size);
-        if (!ranges_accept_value(range, value) || !is_possible(in, range->offset, i, value)) {
+        const uint32_t value = value_after(in, write, offset, size);
+        if (!number_accepts(&variable->range, number_of(value, variable->range.kind)) ||
+            !is_possible(in, variable->offset, i, value)) {
             return false;
         }
     }

@@ -24,9 +24,4 @@ typedef struct {
  * server must be locked. */
 bool ranges_accept(const ranges_memory_t *in, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size);
 
-/* Raw value of an element of a variable: read, write, range check. */
-uint32_t ranges_get(const variable_range_t *range, const uint8_t *element);
-void ranges_set(const variable_range_t *range, uint8_t *element, uint32_t value);
-bool ranges_accept_value(const variable_range_t *range, uint32_t value);
-
 #endif

@@ -2,77 +2,51 @@
 
 #include <string.h>
 
-#include "app/ranges.h"
+#include "app/variables.h"
 #include "config/axis_members.h"
 #include "math/crc32.h"
 
 typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
 
 /* Words of the head of a set. */
-enum { WORD_FORMAT, WORD_LENGTH, WORD_SEQUENCE, WORD_PARAMETER_LAYOUT, WORD_AXIS_LAYOUT };
+enum { WORD_FORMAT, WORD_LENGTH, WORD_SEQUENCE, WORD_LAYOUT };
 
-/* ---- values by index ------------------------------------------------------------------------------------------------ */
+/* Format 1 had two layouts and the same numbers. A set of its last firmware is that of this layout in the present
+ * format. */
+#define FORMAT_1 UINT32_C(0x31535653)
+#define FORMAT_1_PARAMETERS UINT32_C(0xC4DA1EDC)
+#define FORMAT_1_MEMBERS UINT32_C(0x23554EBA)
+#define FORMAT_1_LAYOUT UINT32_C(0xBA26E999)
+#define FORMAT_1_HEAD 5U
 
-typedef struct {
-    variable_range_t range;
-    uint16_t offset; /* offset of the element */
-} parameter_element_t;
+/* ---- numbers of a set ----------------------------------------------------------------------------------------------- */
 
 /* Element `number`, counted through the elements of all parameters. `number` must be below PARAMETER_VALUES: the search
  * ends at the element, not at the end of servo_ranges. */
-static parameter_element_t element_of(const stored_values_t *values, uint16_t number)
+static number_t parameter_at(const stored_values_t *values, uint16_t number)
 {
-    uint16_t i = 0;
-    for (;; i++) {
-        const variable_range_t *range = &servo_ranges[i];
-        if (range->offset < values->parameter || range->offset >= values->parameter + sizeof(parameter_block_t)) {
+    for (uint16_t i = 0;; i++) {
+        const variable_range_t *variable = &servo_ranges[i];
+        if (variable->offset < values->parameter || variable->offset >= values->parameter + sizeof(parameter_block_t)) {
             continue;
         }
-        if (number < range->count) {
-            return (parameter_element_t){*range, (uint16_t)(range->offset + number * range->size)};
+        if (number < variable->count) {
+            const uint16_t offset = (uint16_t)(variable->offset + number * number_size(variable->range.kind));
+            return (number_t){values->memory + offset, variable->range};
         }
-        number = (uint16_t)(number - range->count);
+        number = (uint16_t)(number - variable->count);
     }
 }
 
-static bool is_parameter(uint16_t index) { return index < STORED_HEAD + PARAMETER_VALUES; }
-
-static uint16_t axis_of(uint16_t index) { return (uint16_t)((index - STORED_HEAD - PARAMETER_VALUES) / AXIS_MEMBERS); }
-
-static uint16_t member_of(uint16_t index)
+/* Number `index` of a set: first all parameters, then the members of each axis. */
+static number_t number_at(const stored_values_t *values, uint16_t index)
 {
-    return (uint16_t)((index - STORED_HEAD - PARAMETER_VALUES) % AXIS_MEMBERS);
-}
-
-static uint32_t value_of(const stored_values_t *values, uint16_t index)
-{
-    if (!is_parameter(index)) {
-        return (uint32_t)axis_member_get(config_blocks_in_force(values->config_blocks, axis_of(index)),
-                                         member_of(index));
+    if (index < PARAMETER_VALUES) {
+        return parameter_at(values, index);
     }
-    const parameter_element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
-    return ranges_get(&element.range, values->memory + element.offset);
-}
-
-static void set_value(const stored_values_t *values, uint16_t index, uint32_t value)
-{
-    if (!is_parameter(index)) {
-        axis_member_set(config_blocks_writable(values->config_blocks, axis_of(index)), member_of(index),
-                        (int32_t)value);
-        return;
-    }
-    const parameter_element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
-    ranges_set(&element.range, values->memory + element.offset, value);
-}
-
-/* True if the value is within the writable range of its variable. */
-static bool accepts(const stored_values_t *values, uint16_t index, uint32_t value)
-{
-    if (!is_parameter(index)) {
-        return axis_member_accepts(member_of(index), (int32_t)value);
-    }
-    const parameter_element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
-    return ranges_accept_value(&element.range, value);
+    const uint16_t member = (uint16_t)(index - PARAMETER_VALUES);
+    axis_config_t *block = config_blocks_writable(values->config_blocks, (uint16_t)(member / AXIS_MEMBERS));
+    return axis_member(block, (uint16_t)(member % AXIS_MEMBERS));
 }
 
 uint32_t stored_word(const stored_values_t *values, uint32_t sequence, uint16_t index)
@@ -84,12 +58,12 @@ uint32_t stored_word(const stored_values_t *values, uint32_t sequence, uint16_t 
         return STORED_WORDS;
     case WORD_SEQUENCE:
         return sequence;
-    case WORD_PARAMETER_LAYOUT:
-        return PARAMETER_LAYOUT;
-    case WORD_AXIS_LAYOUT:
-        return AXIS_LAYOUT;
-    default:
-        return value_of(values, index);
+    case WORD_LAYOUT:
+        return STORED_LAYOUT;
+    default: {
+        const number_t number = number_at(values, (uint16_t)(index - STORED_HEAD));
+        return (uint32_t)number_get(number.at, number.range.kind);
+    }
     }
 }
 
@@ -109,11 +83,21 @@ static bool is_erased(hal_t *hal, uint16_t copy)
     return i == STORED_ROOM;
 }
 
+/* Words before the first number; 0: unknown format. */
+static uint16_t head_of(hal_t *hal, uint16_t copy)
+{
+    const uint32_t format = read_word(hal, copy, WORD_FORMAT);
+    if (format == FORMAT_1) {
+        return FORMAT_1_HEAD;
+    }
+    return (format == STORED_FORMAT) ? STORED_HEAD : 0U;
+}
+
 /* True if the checksum of the copy is valid, for any layout. */
 static bool is_sealed(hal_t *hal, uint16_t copy)
 {
     const uint32_t length = read_word(hal, copy, WORD_LENGTH);
-    if (read_word(hal, copy, WORD_FORMAT) != STORED_FORMAT || length <= STORED_HEAD || length > STORED_ROOM) {
+    if (head_of(hal, copy) == 0U || length <= head_of(hal, copy) || length > STORED_ROOM) {
         return false;
     }
     uint32_t crc = CRC32_START;
@@ -123,6 +107,17 @@ static bool is_sealed(hal_t *hal, uint16_t copy)
     return read_word(hal, copy, (uint16_t)(length - 1U)) == crc32_end(crc);
 }
 
+static bool has_layout(hal_t *hal, uint16_t copy)
+{
+    const uint16_t head = head_of(hal, copy);
+    uint32_t layout = read_word(hal, copy, WORD_LAYOUT);
+    if (head == FORMAT_1_HEAD) {
+        const bool last = layout == FORMAT_1_PARAMETERS && read_word(hal, copy, FORMAT_1_HEAD - 1U) == FORMAT_1_MEMBERS;
+        layout = last ? FORMAT_1_LAYOUT : ~STORED_LAYOUT;
+    }
+    return layout == STORED_LAYOUT && read_word(hal, copy, WORD_LENGTH) == head + STORED_NUMBERS + 1U;
+}
+
 stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *values, uint32_t *sequence)
 {
     *sequence = 0;
@@ -130,13 +125,13 @@ stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *val
         return is_erased(hal, copy) ? STORED_COPY_EMPTY : STORED_COPY_DAMAGED;
     }
     *sequence = read_word(hal, copy, WORD_SEQUENCE);
-    if (read_word(hal, copy, WORD_LENGTH) != STORED_WORDS ||
-        read_word(hal, copy, WORD_PARAMETER_LAYOUT) != PARAMETER_LAYOUT ||
-        read_word(hal, copy, WORD_AXIS_LAYOUT) != AXIS_LAYOUT) {
+    if (!has_layout(hal, copy)) {
         return STORED_COPY_OTHER_LAYOUT;
     }
-    for (uint16_t i = STORED_HEAD; i < STORED_CHECKSUM; i++) {
-        if (!accepts(values, i, read_word(hal, copy, i))) {
+    const uint16_t head = head_of(hal, copy);
+    for (uint16_t i = 0; i < STORED_NUMBERS; i++) {
+        const number_t number = number_at(values, i);
+        if (!number_accepts(&number.range, (int32_t)read_word(hal, copy, (uint16_t)(head + i)))) {
             return STORED_COPY_OUT_OF_RANGE;
         }
     }
@@ -145,7 +140,9 @@ stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *val
 
 void stored_load(hal_t *hal, uint16_t copy, const stored_values_t *values)
 {
-    for (uint16_t i = STORED_HEAD; i < STORED_CHECKSUM; i++) {
-        set_value(values, i, read_word(hal, copy, i));
+    const uint16_t head = head_of(hal, copy);
+    for (uint16_t i = 0; i < STORED_NUMBERS; i++) {
+        const number_t number = number_at(values, i);
+        number_set(number.at, number.range.kind, (int32_t)read_word(hal, copy, (uint16_t)(head + i)));
     }
 }

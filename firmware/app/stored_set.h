@@ -3,14 +3,13 @@
  *   0  STORED_FORMAT
  *   1  number of words of the set, with the checksum
  *   2  sequence number; the set with the higher one is newer
- *   3  PARAMETER_LAYOUT
- *   4  AXIS_LAYOUT
- *   5  all elements of all parameters, in the order of servo_ranges
+ *   3  STORED_LAYOUT: names and formats of all numbers, without their ranges
+ *   4  all elements of all parameters, in the order of servo_ranges
  *      all members of the configuration block of axis 1, then of axis 2
  *      checksum: CRC-32 of all words before
  *
  * Each 16-bit number has its own word, because words are programmed one by one. The checksum is written last: a set is
- * complete or invalid.
+ * complete or invalid. A set of the last firmware with format 1 is read, too; the next save replaces it.
  */
 #ifndef SERVO_APP_STORED_SET_H
 #define SERVO_APP_STORED_SET_H
@@ -19,10 +18,11 @@
 #include "config/axis_layout_gen.h"
 #include "config/contract_gen.h"
 
-#define STORED_FORMAT UINT32_C(0x31535653)
+#define STORED_FORMAT UINT32_C(0x32535653)
 
-#define STORED_HEAD 5U
-#define STORED_CHECKSUM (STORED_HEAD + PARAMETER_VALUES + HAL_AXES * AXIS_MEMBERS)
+#define STORED_HEAD 4U /* words before the first number */
+#define STORED_NUMBERS (PARAMETER_VALUES + HAL_AXES * AXIS_MEMBERS)
+#define STORED_CHECKSUM (STORED_HEAD + STORED_NUMBERS)
 #define STORED_WORDS (STORED_CHECKSUM + 1U)
 
 #define STORED_SECTORS (HAL_FLASH_SECTORS / STORAGE_COPIES) /* sectors per copy */

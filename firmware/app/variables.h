@@ -3,15 +3,13 @@
 #define SERVO_APP_VARIABLES_H
 
 #include "comm/tsa.h"
+#include "config/number.h"
 
-/* Raw range of the elements of a writable variable of servo_t. It is compared modulo the size of an element, so that it
- * applies to signed and unsigned numbers. */
+/* Writable variable of servo_t. */
 typedef struct {
     uint16_t offset; /* offset in servo_t [bytes] */
-    uint16_t size; /* size of an element [bytes]: 2 or 4 */
     uint16_t count; /* number of elements */
-    int32_t min; /* smallest raw value */
-    int32_t max; /* largest raw value */
+    number_range_t range; /* of each element */
 } variable_range_t;
 
 /* Names of the values 0, 1, 2 ..., as offsets in the strings of servo_variables. */

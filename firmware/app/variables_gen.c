@@ -1062,43 +1062,43 @@ static const uint16_t fault_offsets[] = {4015, 4028, 4042, 4055, 4070, 190, 4083
 const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
-    {OFFSET(boot_token), 4, 1, INT32_C(0), INT32_C(2147483647)}, /* boot_token */
-    {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */
-    {OFFSET(command.speed), 4, 2, INT32_C(-1718483103), INT32_C(1718483103)}, /* cmd.speed */
-    {OFFSET(command.i_q), 2, 2, INT32_C(-15888), INT32_C(15888)}, /* cmd.i_q */
-    {OFFSET(command.mode), 2, 2, INT32_C(0), INT32_C(4)}, /* cmd.mode */
-    {OFFSET(command.enable), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.enable */
-    {OFFSET(command.quick_stop), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.quick_stop */
-    {OFFSET(command.clear_faults), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.clear_faults */
-    {OFFSET(command.home_position), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* cmd.home_position */
-    {OFFSET(command.home), 2, 2, INT32_C(0), INT32_C(6)}, /* cmd.home */
-    {OFFSET(command.test_amplitude), 2, 2, INT32_C(0), INT32_C(16384)}, /* cmd.test_amplitude */
-    {OFFSET(command.test_step), 4, 2, INT32_C(0), INT32_C(1932735283)}, /* cmd.test_step */
-    {OFFSET(command.test_growth), 4, 2, INT32_C(0), INT32_C(429496730)}, /* cmd.test_growth */
-    {OFFSET(command.test_calls), 4, 2, INT32_C(0), INT32_C(960000)}, /* cmd.test_calls */
-    {OFFSET(command.test_point), 2, 2, INT32_C(0), INT32_C(4)}, /* cmd.test_point */
-    {OFFSET(command.memory.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
-    {OFFSET(config.window), 4, 25, INT32_MIN, INT32_C(2147483647)}, /* config.window */
-    {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
-    {OFFSET(config.take), 2, 1, INT32_C(0), INT32_C(3)}, /* config.take */
-    {OFFSET(storage_request.request), 2, 2, INT32_C(0), INT32_C(65535)}, /* storage.request */
-    {OFFSET(measurement_request.axis), 2, 1, INT32_C(0), INT32_C(2)}, /* measurement.axis */
-    {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
-    {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
-    {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */
-    {OFFSET(parameter.features), 2, 2, INT32_C(0), INT32_C(65535)}, /* param.features */
-    {OFFSET(parameter.position_min), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* param.position_min */
-    {OFFSET(parameter.position_max), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* param.position_max */
-    {OFFSET(parameter.following_error), 4, 2, INT32_C(6), INT32_C(636620)}, /* param.following_error */
-    {OFFSET(parameter.over_speed), 4, 2, INT32_C(4101392), INT32_C(2050695827)}, /* param.over_speed */
-    {OFFSET(parameter.feedback), 2, 2, INT32_C(0), INT32_C(1)}, /* param.feedback */
-    {OFFSET(parameter.on_disable), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_disable */
-    {OFFSET(parameter.on_quick_stop), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_quick_stop */
-    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(33554431)}, /* param.faults_enabled */
-    {OFFSET(parameter.monitor), 2, 2, INT32_C(0), INT32_C(15)}, /* param.monitor */
-    {OFFSET(parameter.host_timeout), 2, 1, INT32_C(100), INT32_C(60000)}, /* param.host_timeout */
-    {OFFSET(parameter.command_timeout), 2, 1, INT32_C(0), INT32_C(60000)}, /* param.command_timeout */
-    {OFFSET(parameter.brake), 2, 1, INT32_C(0), INT32_C(1)}, /* param.brake */
+    {OFFSET(boot_token), 1, {NUMBER_WIDE, INT32_C(0), INT32_C(2147483647)}}, /* boot_token */
+    {OFFSET(command.position), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_MIN, INT32_C(2147483647)}}, /* cmd.position */
+    {OFFSET(command.speed), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-1718483103), INT32_C(1718483103)}}, /* cmd.speed */
+    {OFFSET(command.i_q), 2, {NUMBER_SIGNED, INT32_C(-15888), INT32_C(15888)}}, /* cmd.i_q */
+    {OFFSET(command.mode), 2, {0U, INT32_C(0), INT32_C(4)}}, /* cmd.mode */
+    {OFFSET(command.enable), 2, {0U, INT32_C(0), INT32_C(1)}}, /* cmd.enable */
+    {OFFSET(command.quick_stop), 2, {0U, INT32_C(0), INT32_C(1)}}, /* cmd.quick_stop */
+    {OFFSET(command.clear_faults), 2, {0U, INT32_C(0), INT32_C(1)}}, /* cmd.clear_faults */
+    {OFFSET(command.home_position), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-954929659), INT32_C(954929659)}}, /* cmd.home_position */
+    {OFFSET(command.home), 2, {0U, INT32_C(0), INT32_C(6)}}, /* cmd.home */
+    {OFFSET(command.test_amplitude), 2, {NUMBER_SIGNED, INT32_C(0), INT32_C(16384)}}, /* cmd.test_amplitude */
+    {OFFSET(command.test_step), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(1932735283)}}, /* cmd.test_step */
+    {OFFSET(command.test_growth), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(429496730)}}, /* cmd.test_growth */
+    {OFFSET(command.test_calls), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(960000)}}, /* cmd.test_calls */
+    {OFFSET(command.test_point), 2, {0U, INT32_C(0), INT32_C(4)}}, /* cmd.test_point */
+    {OFFSET(command.memory.points), 32, {NUMBER_WIDE | NUMBER_SIGNED, INT32_MIN, INT32_C(2147483647)}}, /* cmd.points */
+    {OFFSET(config.window), 25, {NUMBER_WIDE | NUMBER_SIGNED, INT32_MIN, INT32_C(2147483647)}}, /* config.window */
+    {OFFSET(config.header), 4, {NUMBER_WIDE | NUMBER_SIGNED, INT32_MIN, INT32_C(2147483647)}}, /* config.header */
+    {OFFSET(config.take), 1, {0U, INT32_C(0), INT32_C(3)}}, /* config.take */
+    {OFFSET(storage_request.request), 2, {0U, INT32_C(0), INT32_C(65535)}}, /* storage.request */
+    {OFFSET(measurement_request.axis), 1, {0U, INT32_C(0), INT32_C(2)}}, /* measurement.axis */
+    {OFFSET(parameter.speed_limit), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(410139), INT32_C(1718483103)}}, /* param.speed_limit */
+    {OFFSET(parameter.acceleration_limit), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(2051), INT32_C(102534791)}}, /* param.acceleration_limit */
+    {OFFSET(parameter.i_q_limit), 2, {NUMBER_SIGNED, INT32_C(397), INT32_C(15888)}}, /* param.i_q_limit */
+    {OFFSET(parameter.features), 2, {0U, INT32_C(0), INT32_C(65535)}}, /* param.features */
+    {OFFSET(parameter.position_min), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-954929659), INT32_C(954929659)}}, /* param.position_min */
+    {OFFSET(parameter.position_max), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-954929659), INT32_C(954929659)}}, /* param.position_max */
+    {OFFSET(parameter.following_error), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(6), INT32_C(636620)}}, /* param.following_error */
+    {OFFSET(parameter.over_speed), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(4101392), INT32_C(2050695827)}}, /* param.over_speed */
+    {OFFSET(parameter.feedback), 2, {0U, INT32_C(0), INT32_C(1)}}, /* param.feedback */
+    {OFFSET(parameter.on_disable), 2, {0U, INT32_C(0), INT32_C(3)}}, /* param.on_disable */
+    {OFFSET(parameter.on_quick_stop), 2, {0U, INT32_C(0), INT32_C(3)}}, /* param.on_quick_stop */
+    {OFFSET(parameter.faults_enabled), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(33554431)}}, /* param.faults_enabled */
+    {OFFSET(parameter.monitor), 2, {0U, INT32_C(0), INT32_C(15)}}, /* param.monitor */
+    {OFFSET(parameter.host_timeout), 1, {0U, INT32_C(100), INT32_C(60000)}}, /* param.host_timeout */
+    {OFFSET(parameter.command_timeout), 1, {0U, INT32_C(0), INT32_C(60000)}}, /* param.command_timeout */
+    {OFFSET(parameter.brake), 1, {0U, INT32_C(0), INT32_C(1)}}, /* param.brake */
 };
 
 const uint16_t servo_ranges_count = (uint16_t)(sizeof servo_ranges / sizeof servo_ranges[0]);

@@ -4,18 +4,7 @@
 
 #include "config/axis_config.h"
 #include "config/axis_layout_gen.h"
-
-#define MEMBER_WIDE 1U   /* 32 bits; otherwise 16 */
-#define MEMBER_SIGNED 2U
-#define MEMBER_BITS 4U   /* set of bits: `max` of the range has all permitted bits */
-#define MEMBER_LIVE 8U   /* may change in motion */
-
-/* Range of a member: no overflow in the control loops. */
-typedef struct {
-    uint16_t kind; /* MEMBER_ bits */
-    int32_t min; /* smallest raw value */
-    int32_t max; /* largest raw value */
-} axis_range_t;
+#include "config/number.h"
 
 typedef struct {
     uint16_t offset; /* offset in axis_config_t [bytes] */
@@ -23,13 +12,13 @@ typedef struct {
 } axis_member_t;
 
 /* Both tables are in TABLE_MEMORY (comm/table_memory.h). */
-extern const axis_range_t axis_ranges[];
+extern const number_range_t axis_ranges[]; /* no overflow in the control loops */
 extern const axis_member_t axis_members[AXIS_MEMBERS];
 
 /* Access to a member by its number. */
+number_range_t axis_member_range(uint16_t number);
+number_t axis_member(axis_config_t *block, uint16_t number);
 int32_t axis_member_get(const axis_config_t *block, uint16_t number);
 void axis_member_set(axis_config_t *block, uint16_t number, int32_t value);
-bool axis_member_accepts(uint16_t number, int32_t value);
-uint16_t axis_member_kind(uint16_t number); /* MEMBER_ bits */
 
 #endif

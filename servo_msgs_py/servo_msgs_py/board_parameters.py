@@ -6,7 +6,6 @@ written.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -43,19 +42,6 @@ class Assignment:
 def parameters(catalogue: Catalogue) -> list[Variable]:
     """All parameters of a board, in the order of the table."""
     return [v for v in catalogue.variables.values() if v.name.startswith(PREFIX)]
-
-
-def layout(catalogue: Catalogue) -> int:
-    """CRC-32 of all properties that determine the meaning of a stored set of parameters.
-
-    Includes the known bits of flag words: a set stored by an older version would switch a newly added fault off.
-    """
-    lines = [f"{v.name} {v.type} {v.count} {v.lsb!r}" for v in parameters(catalogue)]
-    for name in sorted({v.enum for v in parameters(catalogue) if v.enum}):
-        lines.append(f"{name} {sorted(catalogue.enums[name].items(), key=lambda e: e[1])}")
-    for name in sorted({v.flags for v in parameters(catalogue) if v.flags}):
-        lines.append(f"{name} {[(flag.name, flag.bit) for flag in catalogue.flags[name]]}")
-    return zlib.crc32("\n".join(lines).encode())
 
 
 def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:

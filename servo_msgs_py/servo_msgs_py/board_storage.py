@@ -7,9 +7,12 @@ repeated when its response was lost.
 from __future__ import annotations
 
 import secrets
+import zlib
 from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.board_port import BoardPort, BoardWords, reached
 from servo_msgs_py.catalogue import Catalogue
 
@@ -77,6 +80,22 @@ class Storage(NamedTuple):
         origin = "built-in values" if self.source == "BUILT_IN" else f"values of copy {self.source[-1]}"
         newest = f"newest set {self.sequence}" if self.sequence else "nothing stored"
         return self.trouble or f"{origin} since the reset; {newest}"
+
+
+def stored_layout(catalogue: Catalogue, table: AxisConfigTable) -> int:
+    """CRC-32 of all properties that determine the meaning of the numbers of a stored set.
+
+    Ranges are not part of it, because the board checks every number when it reads a set. Known bits of flag words are:
+    a set stored by an older version would switch a newly added fault off.
+    """
+    stored = parameters(catalogue)
+    lines = [f"{v.name} {v.type} {v.count} {v.lsb!r}" for v in stored]
+    for name in sorted({v.enum for v in stored if v.enum}):
+        lines.append(f"{name} {sorted(catalogue.enums[name].items(), key=lambda e: e[1])}")
+    for name in sorted({v.flags for v in stored if v.flags}):
+        lines.append(f"{name} {[(flag.name, flag.bit) for flag in catalogue.flags[name]]}")
+    lines += [f"{m.name} {m.format.size} {m.format.signed} {m.lsb!r}" for m in table.members.values()]
+    return zlib.crc32("\n".join(lines).encode())
 
 
 def read_storage(memory: BoardWords) -> Storage:

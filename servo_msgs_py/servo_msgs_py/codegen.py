@@ -14,7 +14,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from servo_msgs_py.axis_config import AxisConfigTable, Member
-from servo_msgs_py.board_parameters import layout, parameters
+from servo_msgs_py.board_parameters import parameters
+from servo_msgs_py.board_storage import stored_layout
 from servo_msgs_py.catalogue import Catalogue, CatalogueError, Variable
 from servo_msgs_py.fault_rules import FaultRules, fault_list, findings_header, raised_in, rules_source
 from servo_msgs_py.parameter_code import parameter_header, parameter_source
@@ -35,10 +36,7 @@ def contract_header(catalogue: Catalogue) -> str:
     """Enumerations, flag masks, hash of the table, and the masks of all writable bits of flag words."""
     lines = [_BANNER, "#ifndef SERVO_CONTRACT_GEN_H\n#define SERVO_CONTRACT_GEN_H\n\n#include <stdint.h>\n"]
     lines.append(f"#define CATALOGUE_HASH UINT32_C(0x{catalogue.hash:08X})\n")
-    lines.append(
-        f"#define PARAMETER_LAYOUT UINT32_C(0x{layout(catalogue):08X})\n"
-        f"#define PARAMETER_VALUES {sum(v.count for v in parameters(catalogue))}U\n"
-    )
+    lines.append(f"#define PARAMETER_VALUES {sum(v.count for v in parameters(catalogue))}U\n")
     for name, entries in catalogue.enums.items():
         prefix = name.removesuffix("_t").upper()
         body = "".join(f"    {prefix}_{key} = {value},\n" for key, value in entries.items())
@@ -84,8 +82,18 @@ def _structure_checks(catalogue: Catalogue) -> str:
     return "\n".join(lines)
 
 
+def _range_text(number: Variable | Member, **kinds: bool) -> str:
+    """Initializer of a ``number_range_t``; the range must fit ``int32_t``."""
+    kinds = {"WIDE": number.format.size == 4, "SIGNED": number.format.signed, **kinds}
+    kind = " | ".join(f"NUMBER_{name}" for name, holds in kinds.items() if holds) or "0U"
+    try:
+        return ", ".join([kind, *map(_int_constant, number.raw_range)])
+    except CatalogueError as error:
+        raise CatalogueError(f"{number.name}: limit {error}") from None
+
+
 def _range_row(variable: Variable, catalogue: Catalogue) -> str:
-    """Row of the table of ranges; the range must contain only valid values and fit ``int32_t``."""
+    """Row of the table of ranges; the range must contain only valid values."""
     low, high = variable.raw_range
     if variable.enum is not None and set(catalogue.enums[variable.enum].values()) != set(range(low, high + 1)):
         raise CatalogueError(
@@ -93,13 +101,7 @@ def _range_row(variable: Variable, catalogue: Catalogue) -> str:
         )
     if variable.flags is not None and (low != 0 or high & (high + 1)):
         raise CatalogueError(f"{variable.name}: {low} .. {high} is not the complete range of a flag word")
-    try:
-        limits = f"{_int_constant(low)}, {_int_constant(high)}"
-    except CatalogueError as error:
-        raise CatalogueError(f"{variable.name}: limit {error}") from None
-    return (
-        f"    {{OFFSET({variable.path}), {variable.element_size}, {variable.count}, {limits}}}, /* {variable.name} */"
-    )
+    return f"    {{OFFSET({variable.path}), {variable.count}, {{{_range_text(variable)}}}}}, /* {variable.name} */"
 
 
 def _places(catalogue: Catalogue) -> dict[str, tuple[str, str]]:
@@ -215,38 +217,28 @@ const uint16_t servo_ranges_count = (uint16_t)(sizeof servo_ranges / sizeof serv
 """
 
 
-def member_header(table: AxisConfigTable) -> str:
-    """Size and layout of a configuration block."""
+def member_header(table: AxisConfigTable, catalogue: Catalogue) -> str:
+    """Size and layout of a configuration block, and layout of a stored set."""
     return f"""{_BLOCK_BANNER}#ifndef SERVO_AXIS_LAYOUT_GEN_H
 #define SERVO_AXIS_LAYOUT_GEN_H
 
 #define AXIS_MEMBERS {len(table)}U
 #define AXIS_LAYOUT UINT32_C(0x{table.layout:08X})
+#define STORED_LAYOUT UINT32_C(0x{stored_layout(catalogue, table):08X})
 
 #endif
 """
 
 
-def _range_text(member: Member) -> str:
-    """One row of the table of ranges."""
-    kind = [
-        name
-        for name, holds in (
-            ("MEMBER_WIDE", member.format.size == 4),
-            ("MEMBER_SIGNED", member.format.signed),
-            ("MEMBER_BITS", member.bits),
-            ("MEMBER_LIVE", member.live),
-        )
-        if holds
-    ]
-    return ", ".join([" | ".join(kind) or "0U", *map(_int_constant, member.raw_range)])
+def _member_range(member: Member) -> str:
+    return _range_text(member, BITS=member.bits, LIVE=member.live)
 
 
 def member_table(table: AxisConfigTable) -> str:
     """Offset of each member of a block and index of its range; equal ranges are stored once."""
-    ranges = list(dict.fromkeys(map(_range_text, table.members.values())))
+    ranges = list(dict.fromkeys(map(_member_range, table.members.values())))
     rows = "\n".join(
-        f"    {{OFFSET({member.name}), {ranges.index(_range_text(member))}U}}," for member in table.members.values()
+        f"    {{OFFSET({member.name}), {ranges.index(_member_range(member))}U}}," for member in table.members.values()
     )
     checks = "\n".join(
         f"CHECK({number}, SIZE({member.name}) == {member.format.size});"
@@ -268,7 +260,7 @@ def member_table(table: AxisConfigTable) -> str:
 /* The table and the structure agree on every size. */
 {checks}
 
-const axis_range_t axis_ranges[] TABLE_MEMORY = {{
+const number_range_t axis_ranges[] TABLE_MEMORY = {{
 {limits}
 }};
 
@@ -310,7 +302,7 @@ def outputs(firmware: Path, catalogue: Catalogue) -> dict[Path, str]:
         firmware / "config" / "contract_gen.h": contract_header(catalogue),
         firmware / "config" / "parameters_gen.h": _BANNER + parameter_header(catalogue),
         firmware / "config" / "parameters_gen.c": _BANNER + parameter_source(catalogue),
-        firmware / "config" / "axis_layout_gen.h": member_header(members),
+        firmware / "config" / "axis_layout_gen.h": member_header(members, catalogue),
         firmware / "config" / "axis_members_gen.c": member_table(members),
         firmware / "app" / "variables_gen.c": variable_table(catalogue),
         firmware / "diagnosis" / "findings_gen.h": findings_header(rules),

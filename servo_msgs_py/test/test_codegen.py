@@ -105,14 +105,23 @@ def _with(name: str, **changes: Any) -> Catalogue:
     return replace(CATALOGUE, variables={**CATALOGUE.variables, name: replace(CATALOGUE[name], **changes)})
 
 
+_KINDS = {
+    (2, False): "0U",
+    (2, True): "NUMBER_SIGNED",
+    (4, False): "NUMBER_WIDE",
+    (4, True): "NUMBER_WIDE | NUMBER_SIGNED",
+}
+
+
 def test_table_has_the_range_of_every_writable_variable() -> None:
     rows = codegen.variable_table(CATALOGUE).split("servo_ranges[] = {\n")[1].split("};")[0].splitlines()
     found = [re.sub(r"U?INT32_C\((.*?)\)", r"\1", row).replace("INT32_MIN", str(-(2**31))) for row in rows]
     assert found == [
-        f"    {{OFFSET({v.path}), {v.element_size}, {v.count}, {low}, {high}}}, /* {v.name} */"
+        f"    {{OFFSET({v.path}), {v.count}, {{{kind}, {low}, {high}}}}}, /* {v.name} */"
         for v in CATALOGUE.variables.values()
         if v.writable
         for low, high in [v.raw_range]
+        for kind in [_KINDS[v.format.size, v.format.signed]]
     ]
 
 

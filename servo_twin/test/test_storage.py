@@ -17,8 +17,8 @@ from servo_twin.board import Board
 pytestmark = pytest.mark.usefixtures("level")
 
 CATALOGUE: Final = Catalogue.load()
-COMMANDS: Final = 3 + 5 + sum(v.count for v in parameters(CATALOGUE)) + 2 * len(AxisConfigTable.load())
-"""Flash commands of a save: two sectors, every word, the seal."""
+COMMANDS: Final = 3 + 4 + sum(v.count for v in parameters(CATALOGUE)) + 2 * len(AxisConfigTable.load())
+"""Flash commands of a save: two sectors, the head, every number, the seal."""
 
 Values = tuple[tuple[int, ...], ...]
 
