@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.run_file.reader import RunReader
 from servo_tuning.reading import SERVO_TOML
 from servo_twin.board import FIRMWARE, Board
 from servo_twin.diagnosis.board_pair import Motion
 from servo_twin.plant import PlantConfig
 from servo_twin.runs.command import main
+from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.validation.simulated_run import SimulatedRun
 from servo_twin.view.recording import read_scalars
 
@@ -121,6 +124,22 @@ def test_what_if_the_speed_loop_were_slower(equal: Path, tmp_path: Path, capsys:
     assert result["first"]["time"] > 0.1  # not before the axes are enabled
     assert result["controller"] == "axis1"
     replay(equal, capsys, "--config", str(SERVO_TOML), status=0)
+
+
+@pytest.mark.slow
+def test_a_changed_member_of_the_configuration_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config, place = ServoConfig.of_table(servo_table()), list(AxisConfigTable.load().members).index("position_gain")
+    blocks = [list(block) for block in config.blocks]
+    blocks[1][place] = round(1.3 * blocks[1][place])
+    servo = replace(config, blocks=tuple(map(tuple, blocks)))
+    with SimulatedRun(tmp_path / "run.mcap", Board(seed=SEED, level="ideal", servo=servo), seed=SEED) as run:
+        run.enable()
+        list(Motion(run, SEED).run(4.0))
+    result = replay(tmp_path / "run.mcap", capsys, status=1)
+    found = result["configuration"]
+    assert (result["controller"], found["axis"], found["member"]) == ("axis2", "axis2", "position_gain")
+    assert found["found"] == pytest.approx(1.3 * found["recorded"], rel=0.03)
+    assert "the configuration differs, axis2 position_gain 1.3 times" in result["verdict"]
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,7 @@ from servo_twin.runs.compare_output import Picture, RerunFile
 from servo_twin.runs.curves import curves_of
 from servo_twin.runs.divergence import noise_bands
 from servo_twin.runs.export import FORMATS, export
+from servo_twin.runs.member_search import explain
 from servo_twin.runs.recorded import DEFAULT_NAMESPACE, RecordedRun
 from servo_twin.runs.replay import Replay, WhatIf, model_of
 from servo_twin.runs.replay_output import McapOutput, RrdOutput
@@ -240,6 +241,8 @@ def _replay(args: argparse.Namespace) -> int:
     replayed = Replay(run, model, Thresholds.load(args.thresholds, level), watch if outputs else None).run()
     for output in outputs:
         output.close()
+    if not args.config and not args.firmware:  # else the difference is known
+        replayed.explained = explain(run, model, replayed)
     document = json.dumps(replay_report.document(replayed), indent=2)
     for path in args.output:
         if path.suffix == ".json":

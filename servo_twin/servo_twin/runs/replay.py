@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.axis_config import Member
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.run_file.reader import Record
 from servo_msgs_py.run_file.run_info import VirtualBoard
@@ -30,8 +31,8 @@ from servo_twin.runs.recorded import Contents, RecordedRun, message_of
 from servo_twin.servo_config import ServoConfig, servo_table
 
 _BURSTS: Final = (topics.RECORDER, topics.RECORDING)
-_REPLAYED: Final = {topic.name: topic for topic in BOARD_TOPICS if topic.name not in _BURSTS}
-_SETTINGS: Final = TwinSettings(report_timeout=1.0, from_reset=600.0)  # no live display is delayed
+REPLAYED: Final = {topic.name: topic for topic in BOARD_TOPICS if topic.name not in _BURSTS}
+SETTINGS: Final = TwinSettings(report_timeout=1.0, from_reset=600.0)  # no live display is delayed
 _GAP: Final = 0.1  # gap of the telemetry that is reported [s]
 _JUMP: Final = 1.0  # jump of the clock of the recording against the ticks of the board that is reported [s]
 
@@ -140,6 +141,28 @@ class Stretch:
     end: str = ""  # why it ended; empty: at the end of the recording
 
 
+@dataclass(frozen=True)
+class MemberChange:
+    """A member of the configuration that repeats the run with another value than the recorded one."""
+
+    axis: int  # index
+    member: Member
+    recorded: int  # raw number of the replay
+    found: int  # raw number that repeats the run
+
+    def __str__(self) -> str:
+        factor = f"{self.found / self.recorded:.3g} times: " if self.recorded else ""
+        values = f"{self.member.shown(self.found)} instead of {self.member.shown(self.recorded)}"
+        return f"{axis_name(self.axis)} {self.member.name} {factor}{values}"
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Result of the search for the cause of a difference of the controller, see `member_search`."""
+
+    change: MemberChange | None  # None: no member of the configuration explains the difference
+
+
 @dataclass
 class Replayed:
     """Result of a replay."""
@@ -152,6 +175,7 @@ class Replayed:
     before: Estimates = field(default_factory=dict)  # of the plant before `first`
     after: Estimates = field(default_factory=dict)  # and at the end
     findings: list[LocatedFinding] = field(default_factory=list)  # changes of the plant at the end
+    explained: Explained | None = None  # of the controller; None: it does not differ, or this cannot be told
     other_build: str = ""  # as `Model.other_build`
     notes: list[str] = field(default_factory=list)  # what could not be replayed, and why
 
@@ -174,7 +198,7 @@ class Replayed:
         return sum(stretch.last - stretch.first for stretch in self.stretches) * PERIOD_NS * 1e-9
 
 
-class _WithOwnConfiguration(Twin):
+class WithOwnConfiguration(Twin):
     """A twin that does not take the configuration of the board."""
 
     def set_blocks(self, blocks: Blocks) -> None:
@@ -209,8 +233,8 @@ class Replay:
     ) -> None:
         self._run, self._model = run, model
         self._catalogue = Catalogue.load()
-        kind = Twin if model.keeps_configuration else _WithOwnConfiguration
-        self._twin = kind(model.board, _SETTINGS, self._catalogue)
+        kind = Twin if model.keeps_configuration else WithOwnConfiguration
+        self._twin = kind(model.board, SETTINGS, self._catalogue)
         self._divergence = Divergence(
             model.plant,
             calibrated or DiagnosisThresholds.load(None, model.level),
@@ -233,7 +257,7 @@ class Replay:
             If the recording cannot be read.
         """
         try:
-            for name, record in self._run.records(*_REPLAYED):
+            for name, record in self._run.records(*REPLAYED):
                 self._take(name, record)
             return self._finished()
         finally:
@@ -243,7 +267,7 @@ class Replay:
         if name == topics.WINDING_TEMPERATURES and self._twin.from_reset:
             return  # those of the twin are exact, the recorded ones are rounded
         try:
-            _REPLAYED[name].take(self._twin, message_of(record, name), self._catalogue)
+            REPLAYED[name].take(self._twin, message_of(record, name), self._catalogue)
         except ValueError as error:
             self._troubles[f"{record.topic}: {error}"] += 1
             return

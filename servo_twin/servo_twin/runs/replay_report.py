@@ -10,7 +10,7 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.diagnosis.report import change_text, estimate_numbers, estimate_text
 from servo_twin.runs.divergence import Departure, Estimates
-from servo_twin.runs.replay import Replayed, at
+from servo_twin.runs.replay import Explained, Replayed, at
 
 _ROWS: Final = 12  # variables in the table
 
@@ -49,12 +49,21 @@ def _size(value: float, of: Departure) -> str:
 
 def _cause(replayed: Replayed) -> str:
     if not replayed.findings:
-        axis = replayed.controller
-        suspect = f": the controller of {axis} differs (configuration, parameter or firmware)" if axis else ""
-        return f"no change of the plant explains it{suspect}"
+        return f"no change of the plant explains it{_suspect(replayed)}"
     return "; ".join(
         f"{'bus' if one.axis is None else axis_name(one.axis)} {change_text(one.finding)}" for one in replayed.findings
     )
+
+
+def _suspect(replayed: Replayed) -> str:
+    axis, explained = replayed.controller, replayed.explained
+    if not axis:
+        return ""
+    if explained is None:
+        return f": the controller of {axis} differs (configuration, parameter or firmware)"
+    if explained.change is None:
+        return f", and no value of one member of the configuration of {axis}: another parameter or another firmware"
+    return f": the configuration differs, {explained.change}"
 
 
 def text(replayed: Replayed) -> str:
@@ -134,9 +143,21 @@ def document(replayed: Replayed) -> dict[str, Any]:
             for one in replayed.findings
         ],
         "controller": replayed.controller or None,
+        "configuration": _configuration(replayed.explained),
         "other_build": replayed.other_build or None,
         "notes": replayed.notes,
     }
+
+
+def _configuration(explained: Explained | None) -> dict[str, Any] | None:
+    """Member that explains the run, empty if none does; None: not known."""
+    if explained is None:
+        return None
+    change = explained.change
+    if change is None:
+        return {}
+    values = {"recorded": change.member.scale(change.recorded), "found": change.member.scale(change.found)}
+    return {"axis": axis_name(change.axis), "member": change.member.name, **values, "unit": change.member.unit}
 
 
 def _instant(tick: int) -> dict[str, float]:
