@@ -33,6 +33,7 @@ ARGUMENTS = {
     "autostart": ("true", "false: the bridge waits for the transitions configure and activate"),
     "namespace": ("", "namespace before `servo` and `twin`, different for each board"),
     "params": (_defaults("servo_bridge", "servo_bridge.yaml"), "parameter file of the bridge"),
+    "more_params": (LaunchConfiguration("params"), "second parameter file of the bridge, with precedence"),
     "twin_params": (_defaults("servo_twin", "servo_twin.yaml"), "parameter file of the twin"),
     "viewer_params": (_defaults("servo_twin", "servo_viewer.yaml"), "parameter file of the viewer"),
     "twin": ("true", "false: no twin"),
@@ -54,6 +55,7 @@ def generate_launch_description() -> LaunchDescription:
         namespace="servo",
         parameters=[
             value["params"],
+            value["more_params"],
             {
                 "port": ParameterValue(port, value_type=str),
                 "baud": ParameterValue(value["baud"], value_type=int),

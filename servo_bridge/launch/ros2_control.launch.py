@@ -8,8 +8,10 @@ Needs ros-jazzy-ros2-control, ros-jazzy-ros2-controllers, ros-jazzy-joint-state-
 ros-jazzy-robot-state-publisher. See doc/ros2_control.md.
 """
 
+import tempfile
 from pathlib import Path
 
+import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
@@ -26,7 +28,9 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, ThisLaunchFileDir
 from launch_ros.actions import Node, PushRosNamespace
 from launch_ros.parameter_descriptions import ParameterValue
-from servo_bridge.description import description_from_file
+from servo_bridge.description import description_from_file, settings_from_file
+from servo_bridge.telemetry import rate_for_controllers
+from servo_msgs_py.text_file import read_text
 
 CONFIG = Path(get_package_share_directory("servo_bridge")) / "config"
 
@@ -42,10 +46,35 @@ ARGUMENTS = {
 }
 
 
+def _update_rate(controllers: str) -> float:
+    """Update rate in a parameter file of the controller_manager [Hz]; 100 Hz is the default of ros2_control."""
+    sections = yaml.safe_load(read_text(Path(controllers)))
+    rates = [
+        section["ros__parameters"].get("update_rate", 100)
+        for node, section in sections.items()
+        if node.split("/")[-1] == "controller_manager"
+    ]
+    return float(rates[0]) if rates else 100.0
+
+
+def _rate_file(rate: float) -> str:
+    """Parameter file of the bridge with the rate of its samples [Hz]."""
+    with tempfile.NamedTemporaryFile("w", prefix="launch_params_", delete=False) as file:
+        yaml.safe_dump({"/**": {"ros__parameters": {"telemetry_rate": rate}}}, file)
+    return file.name
+
+
 def _under_control(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """Nodes that need the robot description, which is derived from the parameter file."""
+    """All nodes; errors of a file occur before anything is started."""
     value = {name: context.perform_substitution(LaunchConfiguration(name)) for name in ARGUMENTS}
     text = description_from_file(value["params"], value["namespace"])
+    rate = settings_from_file(value["params"], value["namespace"]).telemetry_rate
+    rate = rate or rate_for_controllers(_update_rate(value["controllers"]))
+    passed = {name: LaunchConfiguration(name) for name in ARGUMENTS if name != "controllers"}
+    bridge = IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(PathJoinSubstitution([ThisLaunchFileDir(), "bridge.launch.py"])),
+        launch_arguments={**passed, "more_params": _rate_file(rate)}.items(),
+    )
     robot = {"robot_description": ParameterValue(text, value_type=str)}
     publisher = Node(
         package="robot_state_publisher", executable="robot_state_publisher", parameters=[robot], output="screen"
@@ -68,7 +97,8 @@ def _under_control(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     states = f"{'/' if namespace else ''}{namespace}/servo/joint_states"
     first_state = ExecuteProcess(cmd=["ros2", "topic", "echo", "--once", states], output="log")
     spawn = RegisterEventHandler(OnProcessExit(target_action=first_state, on_exit=[spawner]))
-    return [GroupAction([PushRosNamespace(value["namespace"]), publisher, manager, spawn, first_state])]
+    nodes = [PushRosNamespace(value["namespace"]), publisher, manager, spawn, first_state]
+    return [GroupAction(nodes), GroupAction([bridge])]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -76,8 +106,4 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    passed = {name: LaunchConfiguration(name) for name in ARGUMENTS if name != "controllers"}
-    file = PathJoinSubstitution([ThisLaunchFileDir(), "bridge.launch.py"])
-    bridge = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=passed.items())
-    # Errors of a file occur first, before anything is started.
-    return LaunchDescription([*declared, OpaqueFunction(function=_under_control), GroupAction([bridge])])
+    return LaunchDescription([*declared, OpaqueFunction(function=_under_control)])

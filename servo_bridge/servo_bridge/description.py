@@ -16,8 +16,23 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.text_file import read_text
 
-from servo_bridge.parameters import PARAMETERS, ParameterError, settings_from
+from servo_bridge.parameters import PARAMETERS, ParameterError, Settings, settings_from
 from servo_msgs_py import topics
+
+
+def settings_from_file(params: str = "", namespace: str = "") -> Settings:
+    """Settings of a bridge that is started with a parameter file; arguments and errors as `description_from_file`."""
+    node = f"{_board(namespace)}/servo_bridge"
+    values = {name: spec.default for name, spec in PARAMETERS.items()}
+    if params:
+        try:
+            sections = yaml.safe_load(read_text(Path(params)))
+            named = [key for key in sections if key in (node, node[1:])]
+            given = parameter_dict_from_yaml_file(params, True, target_nodes=named or ["/**"])
+        except (OSError, RuntimeError, TypeError, ValueError, yaml.YAMLError) as error:
+            raise ParameterError(f"parameter file {params}: {error}") from None
+        values |= {name: parameter_value_to_python(given[name].value) for name in PARAMETERS if name in given}
+    return settings_from(values, Catalogue.load())
 
 
 def description_from_file(params: str = "", namespace: str = "") -> str:
@@ -40,26 +55,19 @@ def description_from_file(params: str = "", namespace: str = "") -> str:
     ParameterError
         If the file cannot be read, or its values are invalid.
     """
-    board = f"{'/' if namespace.strip('/') else ''}{namespace.strip('/')}/servo"
-    values = {name: spec.default for name, spec in PARAMETERS.items()}
-    if params:
-        node = f"{board}/servo_bridge"
-        try:
-            sections = yaml.safe_load(read_text(Path(params)))
-            named = [key for key in sections if key in (node, node[1:])]
-            given = parameter_dict_from_yaml_file(params, True, target_nodes=named or ["/**"])
-        except (OSError, RuntimeError, TypeError, ValueError, yaml.YAMLError) as error:
-            raise ParameterError(f"parameter file {params}: {error}") from None
-        values |= {name: parameter_value_to_python(given[name].value) for name in PARAMETERS if name in given}
-    catalogue = Catalogue.load()
-    settings = settings_from(values, catalogue)
+    settings, board = settings_from_file(params, namespace), _board(namespace)
     return describe(
         settings.joints,
-        catalogue,
+        Catalogue.load(),
         commands_topic=f"{board}/{topics.JOINT_COMMANDS}",
         states_topic=f"{board}/{topics.JOINT_STATES}",
         interfaces=settings.command_interfaces,
     )
+
+
+def _board(namespace: str) -> str:
+    """Namespace of a board."""
+    return f"{'/' if namespace.strip('/') else ''}{namespace.strip('/')}/servo"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

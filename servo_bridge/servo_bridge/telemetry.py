@@ -15,11 +15,22 @@ from servo_bridge.wire.scope import Sample
 _READY_STATES = ("RUN/SPIN", "RUN/STARTUP")
 """States in which an axis accepts set-points."""
 
+_RATE_MAX = 200.0
+"""Largest rate of samples for controllers [Hz]: at this one the bridge needs a fifth of a core."""
+
 _PASSING = 2 * SLOW_PERIODS
 """PWM periods after which an axis in RUN/READY waits for a set-point."""
 
 _COMMON = ("tick", "applied_tick", "applied_count")
 _PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults")
+
+
+def rate_for_controllers(update_rate: float) -> float:
+    """Rate of the samples that controllers with an update rate need [Hz]: one state per update, within `_RATE_MAX`.
+
+    More of them would take time of the line and of the computer from the set-points; a slow line carries fewer.
+    """
+    return min(update_rate, _RATE_MAX)
 
 
 def required_variables() -> list[str]:

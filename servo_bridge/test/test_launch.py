@@ -11,9 +11,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import yaml
 from bridge_rig import DOMAIN
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
@@ -67,9 +69,18 @@ class Launch:
         """Wait for the end; return the exit status."""
         return self.process.wait(60.0)
 
+    def _bridge(self) -> int:
+        return int(re.findall(r"\[servo_bridge-\d+\]: process started with pid \[(\d+)\]", self.log())[-1])
+
     def kill_bridge(self) -> None:
-        pid = re.findall(r"\[servo_bridge-\d+\]: process started with pid \[(\d+)\]", self.log())[-1]
-        os.kill(int(pid), signal.SIGKILL)
+        os.kill(self._bridge(), signal.SIGKILL)
+
+    def bridge_parameter(self, name: str) -> object:
+        """Value in the last parameter file of the bridge that has it."""
+        words = Path(f"/proc/{self._bridge()}/cmdline").read_text().split("\0")
+        files = [Path(file) for option, file in pairwise(words) if option == "--params-file"]
+        values = [section["ros__parameters"] for file in files for section in yaml.safe_load(file.read_text()).values()]
+        return next(each[name] for each in reversed(values) if name in each)
 
     def interrupt(self) -> int:
         """Send Ctrl-C; return the exit status."""
@@ -205,9 +216,11 @@ def control_packages(tmp_path: Path) -> Path:
 def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Path, control_packages: Path) -> None:
     parameters = tmp_path / "bridge.yaml"
     parameters.write_text("/**:\n  ros__parameters:\n    joints: [lift, pan]\n    gear_ratio: [50.0, 4.0]\n")
+    controllers = tmp_path / "ros2_controllers.yaml"
+    controllers.write_text("controller_manager:\n  ros__parameters:\n    update_rate: 50\n")
     one = launch(
         "ros2_control.launch.py", "virtual:=true", "baud:=115200", "namespace:=robotA", f"port:={tmp_path}/board",
-        f"params:={parameters}", prefix=control_packages,
+        f"params:={parameters}", f"controllers:={controllers}", prefix=control_packages,
     )  # fmt: skip
     one.until(r"\[robotA\.servo\.servo_bridge\]: connected to servo at ")
     (files,) = one.until(r"robot_state_publisher runs with .*--params-file (\S+)")
@@ -221,6 +234,7 @@ def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Pat
     (spawner,) = one.until(r"spawner runs with (.*)")
     assert spawner.startswith("joint_state_broadcaster joint_trajectory_controller --param-file ")
     assert one.log().index("ros2_control_node runs") < one.log().index("spawner runs")
+    assert one.bridge_parameter("telemetry_rate") == 50.0, "a state per update"
     one.kill_bridge()
     assert one.end() == 1, one.log()
     assert "the bridge has ended with status -9" in one.log()
