@@ -28,6 +28,7 @@ from controllers.manager import ControllerManager
 from controllers.trajectory import Point
 from motion_permission import DELAY, TIMEOUT, Command, Motion, Permission, Violation
 from sensor_msgs.msg import JointState
+from servo_bridge.telemetry import rate_for_controllers
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.joints import Joint
 from servo_twin.fault_injection import HotPowerStage
@@ -166,7 +167,7 @@ class CommandSequence:
         self._random = random.Random(7)
         self._arrival_ns = 0  # of the newest command
         parameters: dict[str, Any] = {
-            "telemetry_rate": 100.0,
+            "telemetry_rate": rate_for_controllers(setup.rate),
             "gear_ratio": [setup.gear_ratio] * AXES,
             "direction": [setup.direction] * AXES,
             "wraps": [setup.joints == "angles"] * AXES,
@@ -342,7 +343,7 @@ class CommandSequence:
         for _attempt in range(_FAULT_POLLS):
             yield 0.005
             if board.read_words("axis1.faults") != [0]:
-                self._permission.stop(self._now(), [0])
+                self._permission.fault(self._now(), [0])
                 break
         board.inject(HotPowerStage(0, _COLD))
 
@@ -399,9 +400,8 @@ class CommandSequence:
             velocities = (0.0,) * AXES if step.velocities else ()
             self.trajectory.goal([Point(self._reported(targets), velocities, (), step.time)])
             speeds = (1.5 * speed,) * AXES
-            self._begin(
-                Command(targets, speeds, lambda: self.trajectory.executes_goal, stopped=False, duration=step.time)
-            )
+            valid = partial(self._executes_goal, self._process)
+            self._begin(Command(targets, speeds, valid, stopped=False, duration=step.time))
         elif self._active:
             self._forward(self.forward[self._active], step, targets)
 
@@ -412,11 +412,21 @@ class CommandSequence:
             speed, delay = step.distance / step.time, TIMEOUT
             values, ends = (speed, -speed), (math.copysign(math.inf, speed), -math.copysign(math.inf, speed))
         controller.command(values)
-        valid = partial(self._forwarded, controller, values)
+        valid = partial(self._forwarded, self._process, controller, values)
         self._begin(Command(ends, (abs(speed),) * AXES, valid, delay=delay))
 
-    def _forwarded(self, controller: ForwardController, values: tuple[float, ...]) -> bool:
-        return self.forward[controller.interface] is controller and controller.values == values and self.hardware.active
+    def _executes_goal(self, process: int) -> bool:
+        return process == self._process and self.trajectory.executes_goal
+
+    def _forwarded(self, process: int, controller: ForwardController, values: tuple[float, ...]) -> bool:
+        if process != self._process or not self.hardware.active:
+            return False
+        return controller.values == values or (controller.interface == VELOCITY and self._left_behind(values))
+
+    def _left_behind(self, velocities: tuple[float, ...]) -> bool:
+        """Whether the hardware goes on sending the velocities of a controller that has ended, and nothing else."""
+        sent = tuple(self.hardware.commands[joint, VELOCITY] for joint in _JOINTS)
+        return sent == velocities and all(controller.values is None for controller in self.forward.values())
 
     def _cancel(self, _: Step) -> Iterator[float]:
         yield 0.0

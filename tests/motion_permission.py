@@ -36,7 +36,8 @@ SPEED_LIMIT: Final = 80.0
 """Largest speed of a move that the board shapes, for `OVERSHOOT` [rad/s of the motor]."""
 
 STOP_TIME: Final = 0.35
-"""Permitted distance of a stop, as a time at the present speed [s]."""
+"""Permitted distance of a stop, as a time at the present speed [s]. Without outputs the default motors coast by
+J / B (1 - c / (B w) ln(1 + B w / c)) times the speed w: at 113 rad/s 0.17 s for axis 1 and 0.31 s for axis 2."""
 
 DELAY: Final = 0.25
 """Time until the end of a command takes effect [s]: delay of a stream, points in the queue of the board."""
@@ -105,9 +106,12 @@ class Permission:
         self._ranges = [(-math.inf, math.inf)] * AXES  # permitted positions [rad]
         self._bounds = list(limits)  # limits that hold now: a joint outside may return [rad]
         self._speeds = [math.inf] * AXES  # permitted speeds [rad/s]
+        self._coasting: set[int] = set()  # joints whose outputs a fault has switched off, since the last ``enable``
 
     def renew(self, motion: Motion, *, search: bool = False) -> None:
         """Begin again at a state: permit a stop there, the commands that are valid, and the rotor search, if any."""
+        if search:
+            self._coasting.clear()
         for axis, (position, velocity) in enumerate(zip(motion.positions, motion.velocities, strict=True)):
             speed = abs(velocity)
             reach = speed * STOP_TIME + (SEARCH / self._ratios[axis] if search else 0.0)
@@ -121,7 +125,8 @@ class Permission:
                 speeds.append(SPEED_FACTOR * command.speeds[axis] + REST_SPEED)
             self._ranges[axis], self._speeds[axis] = (low, high), max(speeds)
             lowest, highest = self._limits[axis]
-            self._bounds[axis] = min(lowest, position), max(highest, position)
+            way = speed * STOP_TIME if axis in self._coasting else 0.0
+            self._bounds[axis] = min(lowest, position - way), max(highest, position + way)
 
     def begin(self, command: Command, motion: Motion) -> None:
         """Permit a command, in addition to the valid ones."""
@@ -137,6 +142,11 @@ class Permission:
         speeds = [command.speeds[axis] for command in self.commands if axis in command.axes]
         return min(max(speeds, default=0.0), SPEED_LIMIT / self._ratios[axis])
 
+    def fault(self, motion: Motion, axes: Collection[int]) -> None:
+        """Switch off the outputs of joints: they coast, also beyond their limits."""
+        self._coasting |= set(axes)
+        self.stop(motion, axes)
+
     def stop(self, motion: Motion, axes: Collection[int] = range(AXES), delay: float = STOP_DELAY) -> None:
         """Stop joints; ends the commands that a stop ends, after the delay [s]."""
         for command in [command for command in self.commands if command.stopped]:
@@ -148,12 +158,12 @@ class Permission:
         self.renew(motion)
 
     def update(self, motion: Motion) -> None:
-        """End the commands that are not valid any more; call it often."""
-        for command in self.commands:
-            if command.until == math.inf and not command.valid():
-                command.until = motion.time + command.delay
+        """End the commands that are not valid any more: permit a stop from the speed at this time; call it often."""
+        ended = [command for command in self.commands if command.until == math.inf and not command.valid()]
+        for command in ended:
+            command.until = motion.time + command.delay
         left = [command for command in self.commands if motion.time < command.until]
-        if len(left) < len(self.commands):
+        if ended or len(left) < len(self.commands):
             self.commands = left
             self.renew(motion)
 
