@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from quad_timer import TIMER_CLOCK
 from servo_tuning.assessment import Assessment, assess
 from servo_tuning.configuration import Scales
+from servo_tuning.errors import exactly
 from servo_tuning.findings import findings
 from servo_tuning.linear import System, expm, held, margins, poles, spectral_radius
 from servo_tuning.loops import CurrentLoop, In, Out
+from servo_tuning.remedies import refusal_of
 from servo_tuning.sensors import EdgeDelay, edge_delay
 from servo_tuning.tuned import Tuned
-from tuning_tool import CATALOGUE, axis, case, configuration
+from tuning_tool import CATALOGUE, axis, case, configuration, table
 
 TICK = 0.5e-3
 
@@ -292,7 +294,7 @@ FINDINGS = [
     ),
     case(
         "axis1.control.current_bandwidth (in [defaults.control]) = 1000",
-        "oscillate at 693 Hz, use 1386 Hz",
+        "oscillate at 693 Hz; write 1387",
         axis1__motor__inertia=5e-7,
         axis1__motor__rotor_inertia=5e-7,
         axis1__motor__l_d=0.15e-3,
@@ -321,6 +323,38 @@ def test_warnings_apply_to_the_enabled_speed_sensor() -> None:
     assert with_mt.loops[2].margins == with_observer.loops[2].margins
     assert [loop.in_force for loop in with_mt.loops] == [True, True, True, True, False, False]
     assert [loop.in_force for loop in with_observer.loops] == [True, True, False, False, True, True]
+
+
+def test_a_current_loop_too_slow_for_the_back_emf_is_the_first_remedy_of_an_unstable_shaft() -> None:
+    """Outer loops that are slowed down would remain slow when the warning then asks for a faster current loop."""
+    error = refusal_of(
+        table(
+            axis1__motor__psi_m=0.05,
+            axis1__motor__inertia=5e-7,
+            axis1__motor__rotor_inertia=5e-7,
+            axis1__motor__l_d=0.1e-3,
+            axis1__motor__l_q=0.1e-3,
+            axis1__limits__speed=50.0,
+            axis1__control__path_current_use=0.002,
+        )
+    )
+    assert error is not None
+    assert error.remedies[0] == exactly("axis1.control.current_bandwidth", 1778.0)
+
+
+@pytest.mark.parametrize("bandwidth", [75.0, 5.0])
+def test_back_calculation_is_not_much_faster_than_the_integral_part(bandwidth: float) -> None:
+    """A saturated sample moves the integral part by Kc times the excess, which decays in the integral time."""
+    design = axis(
+        axis1__control__speed_bandwidth=bandwidth,
+        axis1__control__position_gain=4.0,
+        axis1__motor__l_q=4e-3,
+        axis1__rotor_search__current=0.8,
+    )
+    used = design.used
+    assert used.speed.kc == pytest.approx(min(0.5, 11.0 * used.speed.ki / used.speed.kp), rel=1e-4)
+    assert used.current_q.kc == pytest.approx(11.0 * used.current_q.ki / used.current_q.kp, rel=1e-3)
+    assert used.current_d.kc == 0.5
 
 
 def test_a_stiffer_loop_has_a_smaller_deflection() -> None:

@@ -174,6 +174,7 @@ def test_most_motors_can_be_tuned() -> None:
         "no-load speed",
         "reluctance of this rotor",
         "a dead time",
+        "hides the direction",
     )
     assert [sum(kind in reason for kind in kinds) for reason in reasons] == [1] * len(reasons), reasons
     assert all(any(kind in reason for reason in reasons) for kind in kinds)

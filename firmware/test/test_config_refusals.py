@@ -172,7 +172,7 @@ TOGETHER = [
         axis1__friction__coulomb=0.0157,
         axis1__motor__l_q=5e-3,
     ),
-    case("axis1.limits.speed = 600", "0.1 .. 419 rad/s"),
+    case("axis1.limits.speed = 600", "0.1 .. 419 rad/s of param.speed_limit; write 419 or less"),
     case("axis1.limits.acceleration = 60000", "50000"),
     case("axis1.limits.position = 2e+06", "param.position_max"),
     case("axis1.limits.following_error = 2000", "1000 rad"),
@@ -259,6 +259,21 @@ TOGETHER = [
     case("board.brake.power = 200", "167 W", **FITTED),
     case("axis1.stop.short_current = 9", "8.25 A"),
     case("axis1.stop.time_max = 0.5", "0.579 s"),
+    # PWM ripple, dead time and switch drops
+    case(
+        "axis1.limits.current = 4",
+        "3.12 A, above 6.6 A, 0.8 of the range of the current sensors; write 3.47 or less",
+        axis1__motor__l_d=20e-6,
+        axis1__motor__l_q=20e-6,
+    ),
+    case(
+        "axis1.motor.inertia = 8e-06",
+        "below 1.8 A the PWM ripple hides the direction of its current",
+        axis1__motor__l_d=60e-6,
+        axis1__motor__l_q=60e-6,
+        axis1__limits__current=1.5,
+        axis1__rotor_search__current=1.4,
+    ),
     # loops that are unstable by sampling
     case("axis1.control.current_bandwidth = 6000", "unstable"),
     case("axis1.control.speed_bandwidth = 250", "unstable"),

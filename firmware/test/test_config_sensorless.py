@@ -234,6 +234,7 @@ def test_the_sign_current_follows_the_inductance() -> None:
 def test_the_sign_current_is_not_cut_where_the_limit_is_small() -> None:
     """0.8 A per dead time: the direction is certain above 1 A, also in the rotor search."""
     small: dict[str, object] = {"axis1__motor__l_d": 30e-6, "axis1__motor__l_q": 30e-6, "axis1__limits__current": 1.7}
+    small["axis1__motor__inertia"] = 8e-5
     with pytest.raises(ConfigError, match=r"^axis1\.rotor_search\.current = 0\.9: below 1 A"):
         axis(**small, axis1__rotor_search__current=0.9)
     found = axis(**small, axis1__rotor_search__current=1.1).constants

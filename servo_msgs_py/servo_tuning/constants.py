@@ -293,6 +293,11 @@ def dead_time_current(axis: Axis, board: Board) -> float:
     return board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
 
 
+def ripple_current(axis: Axis, board: Board) -> float:
+    """Amplitude of the PWM ripple at its largest: 2/3 of the bus voltage for half of a period [A]."""
+    return board("nominal_voltage") * board.period / (24.0 * min(axis("motor.l_d"), axis("motor.l_q")))
+
+
 def sign_current(axis: Axis, board: Board) -> float:
     """Phase current above which its direction is certain: the entry, or more for a winding of low inductance [A]."""
     return max(axis("sensing.sign_current"), SIGN_FACTOR * dead_time_current(axis, board))

@@ -9,6 +9,7 @@ from typing import Final
 from servo_tuning.assessment import Assessment
 from servo_tuning.errors import Problem, exactly, higher, lower
 from servo_tuning.field_weakening import field_weakening_loops
+from servo_tuning.gains import current_bandwidth_min
 from servo_tuning.optional import PARTS
 from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.sensorless_constants import needs_observer
@@ -20,13 +21,6 @@ PHASE_MIN: Final = 45.0
 
 GAIN_MIN: Final = 2.0
 """Recommended gain margin of current and speed loop."""
-
-EXCHANGE_USE: Final = 0.5
-"""Largest natural frequency of winding and shaft, over the bandwidth of the current loop. At 0.66 and above some random
-motors lost their encoder, or friction held them with the speed loop that such a current loop permits."""
-CURRENT_SAMPLES_MIN: Final = 9.0
-"""Samples per period at the largest recommended bandwidth of the current loop; 8 give a phase margin of 45 degrees, and
-a remedy that is searched needs a range of 8 %."""
 
 K_V_T_MAX: Final = 0.25
 """Largest K_v T without overshoot of the position loop, if the speed loop is of first order."""
@@ -100,14 +94,11 @@ def findings(design: Tuned, figures: Assessment) -> list[Problem]:
 
 
 def _exchange(design: Tuned) -> Iterator[Problem]:
-    """By the back-EMF, inertia and inductance exchange energy, as in a resonant circuit that the current loop damps."""
     axis, path = design.axis, "control.current_bandwidth"
-    flux = axis("motor.pole_pairs") * axis("motor.psi_m")
-    natural = flux * math.sqrt(1.5 / (axis("motor.l_q") * axis("motor.inertia"))) / (2.0 * math.pi)
-    wanted = min(natural / EXCHANGE_USE, design.board("pwm_frequency") / CURRENT_SAMPLES_MIN)
+    wanted = current_bandwidth_min(axis, design.board)
     if axis(path) < wanted:
-        reason = f"too slow for the back-EMF, by which winding and shaft oscillate at {natural:.0f} Hz"
-        yield axis.problem(path, f"{reason}, use {wanted:.0f} Hz", higher(path))
+        reason = f"too slow for the back-EMF, by which winding and shaft oscillate at {axis.motor.exchange:.0f} Hz"
+        yield axis.problem(path, reason, exactly(path, wanted))
 
 
 def _margins(design: Tuned, figures: Assessment) -> Iterator[Problem]:

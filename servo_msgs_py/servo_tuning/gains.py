@@ -5,8 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 from servo_tuning.configuration import Axis, Board
+
+EXCHANGE_USE: Final = 0.5
+"""Largest natural frequency of winding and shaft, over the bandwidth of the current loop. At 0.66 and above some random
+motors lost their encoder, or friction held them with the speed loop that such a current loop permits."""
+CURRENT_SAMPLES_MIN: Final = 9.0
+"""Samples per period at the largest recommended bandwidth of the current loop; 8 give a phase margin of 45 degrees."""
+
+TRACKING: Final = 11.0
+"""Largest Kc of a PI controller, over its Ki Ts; 1 is tracking in the integral time. A set-point that saturates it for
+few samples, such as by an encoder count, must not move its integral part far. With Kc = 0.5 the current of
+windings with L / R = 15 ms stayed away from its set-point, and heavy shafts oscillated."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +69,22 @@ class Gains:
 def _current(axis: Axis, inductance: float, board: Board) -> Pi:
     """Pole-zero cancellation; the open loop is omega / s."""
     omega = 2.0 * math.pi * axis("control.current_bandwidth")
-    return Pi(omega * inductance, omega * axis("motor.r_s") * board.period, axis("control.anti_windup"))
+    kp, ki = omega * inductance, omega * axis("motor.r_s") * board.period
+    return Pi(kp, ki, _anti_windup(axis, ki / kp))
+
+
+def current_bandwidth_min(axis: Axis, board: Board) -> float:
+    """Bandwidth of the current loop that damps the exchange of energy between winding and shaft, in whole Hz [Hz]."""
+    return math.ceil(min(axis.motor.exchange / EXCHANGE_USE, board("pwm_frequency") / CURRENT_SAMPLES_MIN))
 
 
 def speed_pi(axis: Axis, board: Board, bandwidth: float) -> Pi:
     """Gains for a crossover at the bandwidth [Hz]; the integral part acts below bandwidth / speed_ratio."""
     omega = 2.0 * math.pi * bandwidth
     kp = omega * axis("motor.inertia") / axis.torque_constant
-    return Pi(kp, kp * omega / axis("control.speed_ratio") * board.tick, axis("control.anti_windup"))
+    ki = kp * omega / axis("control.speed_ratio") * board.tick
+    return Pi(kp, ki, _anti_windup(axis, ki / kp))
+
+
+def _anti_windup(axis: Axis, k_i_ts: float) -> float:
+    return min(axis("control.anti_windup"), TRACKING * k_i_ts)

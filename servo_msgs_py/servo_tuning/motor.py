@@ -28,6 +28,12 @@ class Motor:
         """Torque per q current at ``i_d = 0`` [N m/A]."""
         return 1.5 * self.pole_pairs * self.psi_m
 
+    @property
+    def exchange(self) -> float:
+        """Natural frequency at which winding and shaft exchange energy by the back-EMF, as a resonant circuit [Hz]."""
+        flux = self.pole_pairs * self.psi_m
+        return flux * math.sqrt(1.5 / (self.l_q * self.inertia)) / (2.0 * math.pi)
+
 
 def acceleration_per_current(block: Mapping[str, int]) -> float:
     """Nominal acceleration per q current [rad/s^2/A] of a block, as the speed observer uses it."""

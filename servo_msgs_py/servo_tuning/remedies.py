@@ -190,14 +190,19 @@ class _Search:
 
     def _nearest(self, changes: Sequence[Remedy], good: Good) -> Remedy | None:
         """The changes with good values, at the smallest common factor; None if there are none."""
-        if all(one.value is not None for one in changes):
-            return changes[0]
+        if changes[0].value is not None:
+            return changes[0] if self._accepted(changes[0], changes, good) else None
         found = []
         for directions in itertools.product(*(one.directions for one in changes)):
             directed = [replace(one, directions=(way,)) for one, way in zip(changes, directions, strict=True)]
             if (nearest := self._directed(directed, good)) is not None:
                 found.append(nearest)
         return min(found, key=lambda pair: pair[0])[1] if found else None
+
+    def _accepted(self, remedy: Remedy, changes: Sequence[Remedy], good: Good) -> bool:
+        if remedy not in self.problems:
+            self.problems[remedy] = self.check(applied(self.table, remedy, self.write))
+        return good(self.problems[remedy], changes)
 
     def _directed(self, changes: Sequence[Remedy], good: Good) -> tuple[float, Remedy] | None:
         """Logarithm of the smallest factor with good values, and these values."""
@@ -206,9 +211,7 @@ class _Search:
             return None
 
         def accepted(remedy: Remedy) -> bool:
-            if remedy not in self.problems:
-                self.problems[remedy] = self.check(applied(self.table, remedy, self.write))
-            return good(self.problems[remedy], changes)
+            return self._accepted(remedy, changes, good)
 
         def at(log: float) -> Remedy:
             values = [

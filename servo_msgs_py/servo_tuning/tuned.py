@@ -11,8 +11,8 @@ from servo_tuning.configuration import Axis, Board, Configuration
 from servo_tuning.constants import axis_constants
 from servo_tuning.control_loops import ControlLoops, control_loops, pi_of
 from servo_tuning.conversion import AxisConstants, Converter, PiRaw
-from servo_tuning.errors import ConfigError, Problem, checking, lower
-from servo_tuning.gains import Gains
+from servo_tuning.errors import ConfigError, Problem, Remedy, checking, exactly, lower
+from servo_tuning.gains import Gains, current_bandwidth_min
 from servo_tuning.linear import spectral_radius
 from servo_tuning.loops import ShaftLoops
 from servo_tuning.optional import PARTS, SENSORLESS, SPEED_OBSERVER
@@ -182,7 +182,7 @@ def integers(
 
 def _refuse_unstable(design: Tuned) -> None:
     current = max(spectral_radius(design.current_loop(which).closed.a) for which in "dq")
-    _refuse_radius(design, "control.current_bandwidth", current, "the sampled loop")
+    _refuse_radius(design, current, "the sampled loop", "control.current_bandwidth")
     _refuse_unstable_shaft(design, observed=False)
 
 
@@ -195,7 +195,7 @@ def _instability(design: Tuned, part: str) -> Problem | None:
             for turning in (design.sensorless.start_up.minimum_speed, design.axis("limits.speed")):
                 radius = spectral_radius(design.sensorless_shaft(turning).speed_alone)
                 how = f"at {turning:.3g} rad/s the sensorless speed loop"
-                _refuse_radius(design, "observer.speed_part", radius, how)
+                _refuse_radius(design, radius, how, "observer.speed_part")
     except ConfigError as error:
         return error.problem
     return None
@@ -205,11 +205,16 @@ def _refuse_unstable_shaft(design: Tuned, *, observed: bool) -> None:
     how = "with the speed observer the sampled loop" if observed else "the sampled loop"
     shaft = design.shaft(observed=observed)
     speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
-    _refuse_radius(design, speed, spectral_radius(shaft.speed_alone), how)
-    _refuse_radius(design, "control.position_gain", spectral_radius(shaft.position.a), how)
+    path = "control.current_bandwidth"
+    # first: slow outer loops remain slow when a warning asks for a faster current loop
+    wanted = current_bandwidth_min(design.axis, design.board)
+    faster = (exactly(path, wanted),) if design.axis(path) < wanted else ()
+    _refuse_radius(design, spectral_radius(shaft.speed_alone), how, speed, *faster)
+    _refuse_radius(design, spectral_radius(shaft.position.a), how, "control.position_gain", *faster)
 
 
-def _refuse_radius(design: Tuned, path: str, radius: float, how: str) -> None:
+def _refuse_radius(design: Tuned, radius: float, how: str, path: str, *before: Remedy) -> None:
+    """Refuse an unstable loop; to lower its entry `path` is a remedy after those in `before`."""
     if radius >= 1.0:
         reason = f"{how} is unstable, its largest pole has the magnitude {radius:.3f}"
-        raise design.axis.refused(path, reason, lower(path), "correct the motor data")
+        raise design.axis.refused(path, reason, *before, lower(path), "correct the motor data")
