@@ -73,7 +73,7 @@ class JointCommands(Part):
                 del due[axis]
         if due:
             self._take(lambda: self._submit(due))
-        now = self._board_time(now_ns)
+        now = self._clocks.board_time(now_ns)
         if now is not None:
             self._streamer.advance(now)
 
@@ -104,7 +104,7 @@ class JointCommands(Part):
         if not points:
             return None
         self._arrivals_ns |= dict.fromkeys(points, now_ns)
-        arrival = self._board_time(now_ns)
+        arrival = self._clocks.board_time(now_ns)
         stamp = self._stamp(message, now_ns)
         try:
             context.arbiter.check_ready(_SOURCE, points)
@@ -175,13 +175,10 @@ class JointCommands(Part):
                 result[axis] = replace(point, position=position)
         return result
 
-    def _board_time(self, now_ns: int) -> float | None:
-        offset = self._clocks.offset_ns
-        return None if offset is None else (now_ns - offset) * 1e-9
-
     def _stamp(self, message: JointState, now_ns: int) -> float:
         """Time stamp of the message in the time of the board [s]; without a stamp, the arrival."""
-        offset = self._clocks.offset_ns or 0.0
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-        return ((stamp_ns - self._clocks.wall_ns(round(offset))) if stamp_ns else (now_ns - offset)) * 1e-9
+        if not stamp_ns:
+            return self._clocks.board_time(now_ns) or now_ns * 1e-9
+        return float(stamp_ns - (self._clocks.origin_ns or 0)) * 1e-9

@@ -27,6 +27,7 @@ class SampleClocks:
         self._board = BoardClock(minimum_delay_ns)
         self._wall = WallClock(lambda: int(clock.now().nanoseconds))
         self._epoch = 0
+        self._simulated = False  # whether `_board` maps to simulated ROS time instead of the steady clock
         self._tick = 0  # of the newest sample
 
     def refresh(self) -> None:
@@ -38,25 +39,29 @@ class SampleClocks:
         if sample.epoch != self._epoch:
             self._epoch = sample.epoch
             self._board.reset()
-        if self._clock.ros_time_is_active:
-            self._wall.refresh()  # the rate of simulated time may vary
         self._tick = sample.tick
+        if self._clock.ros_time_is_active != self._simulated:
+            self._simulated = not self._simulated
+            self._board.reset()
+        if self._simulated:  # the board keeps this time, at any rate
+            self._wall.refresh()
+            return self._board.update(sample.tick, self._wall.wall_ns(sample.response_ns))
         return self._wall.stamp(self._board.update(sample.tick, sample.response_ns))
-
-    @property
-    def offset_ns(self) -> float | None:
-        """Steady clock at tick 0 [ns]; None before the first sample."""
-        return self._board.offset_ns
 
     @property
     def origin_ns(self) -> int | None:
         """ROS time at tick 0 [ns]; None before the first sample."""
         offset = self._board.offset_ns
-        return None if offset is None else self._wall.wall_ns(round(offset))
+        if offset is None or self._simulated:
+            return None if offset is None else round(offset)
+        return self._wall.wall_ns(round(offset))
 
-    def wall_ns(self, steady_ns: int) -> int:
-        """ROS time of a time of the steady clock [ns]."""
-        return self._wall.wall_ns(steady_ns)
+    def board_time(self, steady_ns: int) -> float | None:
+        """Time since tick 0 at a time of the steady clock [s]; None before the first sample."""
+        offset = self._board.offset_ns
+        if offset is None:
+            return None
+        return ((self._wall.wall_ns(steady_ns) if self._simulated else steady_ns) - offset) * 1e-9
 
     def times(self, ticks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Extended ticks of uint32 ticks close to the newest sample, and their ROS times [ns]."""

@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import errno
 import hashlib
+import math
 import os
 import select
 import sys
@@ -17,7 +18,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.run_file.run_info import VirtualBoard
@@ -26,6 +27,7 @@ from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.program import complain, deferred, program
 from servo_msgs_py.text_file import TextFileError, read_bytes
+from servo_msgs_py.units import TICK_NS
 
 from servo_msgs_py import argument
 from servo_twin.board import FLASH_BYTES, Board, SimulationError
@@ -33,6 +35,9 @@ from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig
 from servo_twin.robot.command import MODEL_HELP as ROBOT_HELP
 from servo_twin.robot.command import load as load_robot
+
+if TYPE_CHECKING:
+    from servo_twin.simulation_clock import SimulationClock
 
 MAX_LAG_S: Final = 0.05
 """Largest backlog that is caught up; a longer one is skipped and counted as a slip [s]."""
@@ -72,6 +77,7 @@ class Pacer:
         self._wall_ns = now_ns
         self._sim_ns = sim_ns
         self._speed = speed
+        self._max_lag_s = max_lag_s
         self._max_lag_ns = round(max_lag_s * 1e9 * speed)
         self.slips = 0  # number of skipped backlogs
         self.slipped_s = 0.0  # total of skipped wall time [s]
@@ -97,7 +103,17 @@ class Pacer:
 
     def delay(self, now_ns: int, sim_ns: int) -> float:
         """Wall time until simulated time `sim_ns`, 0 if that has passed [s]."""
-        return max(sim_ns - self._at(now_ns), 0) / self._speed * 1e-9
+        missing = max(sim_ns - self._at(now_ns), 0)
+        return missing / self._speed * 1e-9 if missing and self._speed else math.inf if missing else 0.0
+
+    def set_speed(self, now_ns: int, speed: float) -> None:
+        """Change the speed from wall time `now_ns` on; 0 stops the time, and then no backlog is skipped."""
+        self._wall_ns, self._sim_ns, self._speed = now_ns, self._at(now_ns), speed
+        self._max_lag_ns = round(self._max_lag_s * 1e9 * speed) if speed else sys.maxsize
+
+    def step(self, duration_ns: int) -> None:
+        """Let an additional simulated time [ns] elapse."""
+        self._sim_ns += duration_ns
 
     def _at(self, now_ns: int) -> int:
         return self._sim_ns + int((now_ns - self._wall_ns) * self._speed)
@@ -373,6 +389,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot", metavar="MODEL", help=ROBOT_HELP)
     add_level_option(parser, "the board is")
     parser.add_argument(
+        "--clock",
+        action="store_true",
+        help="publish the simulated time on /clock, for nodes with use_sim_time; the node /simulation has the services "
+        "pause and step and the parameter speed (needs ROS)",
+    )
+    parser.add_argument(
         "--speed", type=argument.positive, default=1.0, help="simulated seconds per second (default: %(default)g)"
     )
     return parser
@@ -385,7 +407,7 @@ def main(argv: list[str] | None = None) -> int:
     with contextlib.ExitStack() as owned:
         try:
             flash = owned.enter_context(_flash_file(options.flash)) if options.flash else None
-            simulated, board = _simulated(options, flash.image if flash else None)
+            simulated, board, step_ns = _simulated(options, flash.image if flash else None)
             owned.enter_context(board)
             stop = owned.enter_context(deferred())
             line = owned.enter_context(Terminal(options.link))
@@ -398,7 +420,17 @@ def main(argv: list[str] | None = None) -> int:
         if options.link:
             write_virtual_board(options.link, _facts(board, options, line.device))
         pacer = Pacer(time.monotonic_ns(), speed=options.speed)
-        serve(simulated, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=update_flash)
+        try:
+            clock = owned.enter_context(_clock(pacer, step_ns, options.speed)) if options.clock else None
+        except (ImportError, RuntimeError) as error:
+            return _print_error(str(error), 1)
+
+        def on_step() -> None:
+            update_flash()
+            if clock is not None:
+                clock.serve(simulated.time_ns)
+
+        serve(simulated, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=on_step)
         print(
             f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
             f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
@@ -406,17 +438,26 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def _simulated(options: argparse.Namespace, flash: bytes | None) -> tuple[_Board, Board]:
-    """What is simulated, and the board that is, or is part of, it."""
+def _simulated(options: argparse.Namespace, flash: bytes | None) -> tuple[_Board, Board, int]:
+    """What is simulated, the board that is, or is part of, it, and the length of a step [ns]."""
     settings = {"seed": options.seed, "baud": options.baud, "level": options.level, "flash": flash}
     plant = PlantConfig.load(options.plant)
     if options.robot is None:
         board = Board(plant, **settings)
-        return board, board
+        return board, board, TICK_NS
     drives = load_robot(options.robot).robot(plant, by_ctrl=False, **settings)
     from servo_twin.robot.coupling import SerialRobot  # needs MuJoCo
 
-    return SerialRobot(drives), drives.boards[0]
+    return SerialRobot(drives), drives.boards[0], drives.step_ns
+
+
+def _clock(pacer: Pacer, step_ns: int, speed: float) -> SimulationClock:
+    """ROS time by this simulation."""
+    from servo_twin.simulation_clock import SimulationClock  # needs ROS
+
+    return SimulationClock(
+        lambda changed: pacer.set_speed(time.monotonic_ns(), changed), lambda: pacer.step(step_ns), speed
+    )
 
 
 def _facts(board: Board, options: argparse.Namespace, device: str) -> VirtualBoard:

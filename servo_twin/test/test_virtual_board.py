@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import select
 import signal
@@ -52,6 +53,19 @@ class TestPacer:
         assert pacer.delay(101 * MS, 4 * MS) == pytest.approx(0.003)
         assert pacer.delay(101 * MS, 1 * MS) == 0.0
         assert pacer.delay(101 * MS, 0) == 0.0
+
+    def test_speed_changes_pauses_and_steps(self) -> None:
+        pacer = Pacer(0)
+        pacer.set_speed(10 * MS, 0.5)
+        assert pacer.target(20 * MS, 10 * MS) == 15 * MS
+        pacer.set_speed(20 * MS, 0.0)
+        assert pacer.target(9000 * MS, 15 * MS) == 15 * MS
+        assert pacer.delay(9000 * MS, 16 * MS) == math.inf
+        pacer.step(MS)
+        assert pacer.target(9000 * MS, 15 * MS) == 16 * MS
+        pacer.set_speed(9000 * MS, 2.0)
+        assert pacer.target(9001 * MS, 16 * MS) == 18 * MS
+        assert pacer.slips == 0
 
     def test_a_stall_slips_and_is_counted(self) -> None:
         pacer = Pacer(0, max_lag_s=0.05)
