@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from servo_msgs_py.convert import joint_state
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.convert import AppliedCommand, applied_message, joint_state, snapshot_message
 from servo_msgs_py.run_file.definitions import encoded
 from servo_msgs_py.run_file.topic import Topic, type_of
 from servo_msgs_py.run_file.writer import RunWriter
+from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_twin.board import Board
 from servo_twin.runs.command import main
 from servo_twin.runs.curves import TIME, curves_of
@@ -87,6 +89,7 @@ def test_an_exported_table_is_compared_with_its_recording(
 
 def test_joints_single_variables_and_foreign_messages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run, folder = tmp_path / "run.mcap", tmp_path / "out"
+    words = encode_points(Catalogue.load(), [TimedPoint(0, 800, 1.5, -2.0, 0.1), TimedPoint(1, 900, -3.0, 0.0)])
     writer = RunWriter(run)
     for topic, message in (
         ("/twin/joint_states", joint_state(["pan"], 2_000_000_001, [0.5], [1.5])),
@@ -95,6 +98,7 @@ def test_joints_single_variables_and_foreign_messages(tmp_path: Path, capsys: py
         ("/other/../array", Float64MultiArray(data=[1.0])),
         ("/other/../array", Float64MultiArray(data=[1.0, 2.0])),
         ("/servo/state", String(data="READY")),
+        ("/servo/commands_applied", applied_message(AppliedCommand("cmd.points", 16, tuple(words), 3))),
     ):
         writer.write(Topic(topic, type_of(type(message))), encoded(message), 7)
     writer.write(Topic("/servo/snapshot", "std_msgs/msg/Float64MultiArray"), b"\0\1\0\0damaged", 7)
@@ -105,11 +109,38 @@ def test_joints_single_variables_and_foreign_messages(tmp_path: Path, capsys: py
     assert (states["pan.position [rad]"], states["pan.velocity [rad/s]"]) == ([0.5], [1.5])
     assert columns_of(folder / "servo.var.pan.i_q.csv") == {"log_time [ns]": [7], "data [A]": [2.5]}
     assert columns_of(folder / "servo.winding_temperatures.csv")["axis2.winding_temperature [deg C]"] == [30.0]
+    points = columns_of(folder / "servo.commands_applied.cmd.points.csv")
+    assert (points["axis"], points["point.tick [PWM periods]"]) == ([1, 2], [800, 900])
+    assert points["point.position [rad]"] == pytest.approx([1.5, -3.0], abs=1e-3)
+    assert points["point.velocity [rad/s]"] == pytest.approx([-2.0, 0.0], abs=1e-3)
+    assert points["point.current [A]"] == pytest.approx([0.1, 0.0], abs=1e-3)
     assert tables["other....array"]["columns"] == 2
     assert tables["other....array.2"]["columns"] == 3
     assert tables["left_out"] == {"/servo/state": 1}
     assert len(tables["missing"]) == 1
     assert tables["missing"][0].startswith("/servo/snapshot: the message is no std_msgs/msg/Float64MultiArray")
+
+
+def test_a_table_ends_where_the_time_begins_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = tmp_path / "run.mcap"
+    with RunWriter(run) as writer:
+        for tick in (8.0, 16.0, 8.0, 24.0):
+            message = snapshot_message(["tick", "u_dc"], [[tick, 24.0]])
+            writer.write(Topic("/servo/snapshot", type_of(type(message))), encoded(message), 7)
+    tables = exported(capsys, run, tmp_path)
+    assert [tables[name]["rows"] for name in ("servo.snapshot", "servo.snapshot.2")] == [2, 2]
+    assert columns_of(tmp_path / "servo.snapshot.2.csv")["tick [PWM periods]"] == [8.0, 24.0]
+
+
+def test_curves_of_the_viewer_become_a_table(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    curves = tmp_path / "curves.rrd"
+    assert main(["replay", str(run), "-o", str(curves)]) == 0
+    capsys.readouterr()
+    exported(capsys, curves, tmp_path)
+    table = columns_of(tmp_path / "curves.csv")
+    (block,) = curves_of(run).blocks()
+    assert table["time [s]"] == pytest.approx(block[TIME])
+    np.testing.assert_array_equal(table["axis1.speed [rad/s]"], block["axis1.speed"])
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

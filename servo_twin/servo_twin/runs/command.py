@@ -145,7 +145,7 @@ def parser() -> argparse.ArgumentParser:
         description="Writes one table per topic, and per command variable, with times, ticks and SI units in the heads "
         "of the columns. Topics with texts and states are left out. Exit status: 0 success, 2 wrong input.",
     )
-    exporter.add_argument("run", type=Path, metavar="RUN", help=_RECORDING)
+    exporter.add_argument("run", type=Path, metavar="RUN", help=f"{_RECORDING}; or .rrd of the viewer")
     exporter.add_argument(
         "-o",
         "--output",

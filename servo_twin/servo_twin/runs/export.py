@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +16,7 @@ from servo_msgs_py.run_file.reader import RunReader
 from servo_msgs_py.trace import with_unit
 
 from servo_twin.parquet import import_parquet
+from servo_twin.runs.curves import TICK, TIME, curves_of
 from servo_twin.runs.tables import Rows, joined, rows_of
 
 _BATCH: Final = 1 << 12
@@ -119,7 +120,7 @@ def export(run: Path, folder: Path, suffix: str, wanted: Collection[str] = ()) -
     Parameters
     ----------
     run : Path
-        As for `RunReader`.
+        As for `RunReader`, or an .rrd file of the viewer.
     folder : Path
         Is created; files of the same name are replaced.
     suffix : str
@@ -134,24 +135,22 @@ def export(run: Path, folder: Path, suffix: str, wanted: Collection[str] = ()) -
     OSError
         If a file cannot be read or written.
     """
-    reader, catalogue, result = RunReader(run), Catalogue.load(), Exported()
-    files: dict[tuple[str, tuple[str, ...]], _File] = {}
+    result = Exported()
+    every = _curves(run, wanted) if run.suffix == ".rrd" else _messages(RunReader(run), wanted, result)
+    files: dict[tuple[str, int, tuple[str, ...]], _File] = {}
     names: Counter[str] = Counter()
+    resets: Counter[str] = Counter()  # of the board, by table
+    newest: dict[str, float] = {}  # tick by table
     if suffix == "parquet":
         import_parquet()
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        for record in reader.records(wanted or None):
-            try:
-                rows = rows_of(record, catalogue)
-            except ValueError as error:
-                result.troubles[f"{record.topic}: {error}"] += 1
-                continue
-            if rows is None:
-                result.left_out[record.topic] += 1
-                continue
-            key = rows.stream, tuple(rows.columns)
-            if key not in files:  # also if the columns change during the run
+        for rows in every:
+            if (ticks := rows.columns.get(TICK)) is not None:
+                resets[rows.stream] += ticks[0] < newest.get(rows.stream, 0.0)
+                newest[rows.stream] = ticks[-1]
+            key = rows.stream, resets[rows.stream], tuple(rows.columns)
+            if key not in files:  # also if the columns change during the run, or the time begins again
                 name = rows.stream.strip("/").replace("/", ".")
                 names[name] += 1
                 number = f".{names[name]}" if names[name] > 1 else ""
@@ -163,5 +162,28 @@ def export(run: Path, folder: Path, suffix: str, wanted: Collection[str] = ()) -
             files[key].add(rows)
         for file in files.values():
             file.flush()
-    result.troubles.update(reader.troubles)
     return result
+
+
+def _messages(reader: RunReader, wanted: Collection[str], result: Exported) -> Iterator[Rows]:
+    """Rows of the messages of a recording; notes the others."""
+    catalogue = Catalogue.load()
+    for record in reader.records(wanted or None):
+        try:
+            rows = rows_of(record, catalogue)
+        except ValueError as error:
+            result.troubles[f"{record.topic}: {error}"] += 1
+            continue
+        if rows is None:
+            result.left_out[record.topic] += 1
+        else:
+            yield rows
+    result.troubles.update(reader.troubles)
+
+
+def _curves(run: Path, wanted: Collection[str]) -> Iterator[Rows]:
+    """Rows of the curves of a viewer, which have no topics."""
+    variables = Catalogue.load().variables
+    for block in () if wanted else curves_of(run).blocks():
+        units = {name: variables[name].unit for name in block.columns if name in variables}
+        yield Rows("curves", dict(block.columns), {**units, TIME: "s"})

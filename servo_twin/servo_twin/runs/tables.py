@@ -8,12 +8,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue, axis_name
-from servo_msgs_py.convert import applied_from_message, columns, snapshot_table
+from servo_msgs_py.convert import AppliedCommand, applied_from_message, columns, snapshot_table
 from servo_msgs_py.run_file.definitions import decoded
 from servo_msgs_py.run_file.reader import Record
+from servo_msgs_py.timed_points import decode_points
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
+from servo_twin.lockstep.axis_alignment import POINTS
 from servo_twin.runs.curves import LOG_TIME, ROS_TIME, TICK, TIME
 from servo_twin.view.scene import RESIDUALS
 
@@ -48,7 +50,7 @@ def rows_of(record: Record, catalogue: Catalogue) -> Rows | None:
     stream = record.topic
     units: Mapping[str, str] = {}
     if name == topics.COMMANDS_APPLIED:
-        variable, found = _command(decoded(record.data, record.type), catalogue)
+        variable, found, units = _command(decoded(record.data, record.type), catalogue)
         stream = f"{stream}/{variable}"
     elif record.type == "std_msgs/msg/Float64MultiArray":
         found = _table(name, decoded(record.data, record.type))
@@ -93,15 +95,33 @@ def _joints(message: Any) -> tuple[_Columns, Mapping[str, str]]:
     return found, units
 
 
-def _command(message: Any, catalogue: Catalogue) -> tuple[str, _Columns]:
-    """Variable and columns of an applied command; NaN for an axis that was not written."""
+def _command(message: Any, catalogue: Catalogue) -> tuple[str, _Columns, Mapping[str, str]]:
+    """Variable, columns and units of an applied command; NaN for an axis that was not written."""
     command = applied_from_message(message)
+    if command.variable == POINTS:
+        return _points(command, catalogue)
     variable = catalogue.variables.get(command.variable)
     found: _Columns = {TICK: np.array([float(command.tick)]), "mask": np.array([float(command.mask)])}
     if variable is not None and variable.count == len(command.raw):
         for k, (column, raw) in enumerate(zip(columns([variable]), command.raw, strict=True)):
             found[column] = np.array([variable.scale(raw) if command.mask >> k & 1 else np.nan], np.float64)
-    return command.variable, found
+    return command.variable, found, {}
+
+
+def _points(command: AppliedCommand, catalogue: Catalogue) -> tuple[str, _Columns, Mapping[str, str]]:
+    """Variable, columns and units of timed points, one per row."""
+    points = decode_points(catalogue, command.raw)
+    columns: Mapping[str, tuple[Sequence[float], str]] = {
+        TICK: ([command.tick] * len(points), ""),
+        "axis": ([point.axis + 1 for point in points], ""),
+        "point.tick": ([point.tick for point in points], catalogue[TICK].unit),
+        "point.position": ([point.position for point in points], "rad"),
+        "point.velocity": ([point.velocity for point in points], "rad/s"),
+        "point.current": ([point.current for point in points], "A"),
+        "point.replaces": ([point.replaces for point in points], ""),
+    }
+    found = {name: np.array(values, np.float64) for name, (values, _) in columns.items()}
+    return command.variable, found, {name: unit for name, (_, unit) in columns.items() if unit}
 
 
 def _unit_of_topic(topic: str, catalogue: Catalogue) -> str:
