@@ -98,6 +98,7 @@ class SetPointQueue:
         self._targets: list[Target | None] = [None] * AXES
         self._halted: set[int] = set()  # axes to be stopped
         self._paths: PathSource | None = None
+        self._points_next = False  # whether points of paths precede set-points in the next write
 
     # ---- input
     def follow(self, paths: PathSource) -> None:
@@ -154,7 +155,11 @@ class SetPointQueue:
 
     # ---- output
     def next_write(self) -> CommandWrite | None:
-        """Remove the next write: modes before set-points; both axes in one write if the variable is the same."""
+        """Remove the next write: modes before set-points; both axes in one write if the variable is the same.
+
+        Set-points of an axis and points of another alternate, if the line is too slow for both: neither may be late for
+        long.
+        """
         if self._halted:
             halted, self._halted = self._halted, set()
             return _joined("cmd.mode", dict.fromkeys(halted, Mode.POSITION.value))
@@ -167,9 +172,14 @@ class SetPointQueue:
                 changes[axis] = wanted.value
         if changes:
             return _joined("cmd.mode", changes)
-        if not waiting:
+        if self._points_next or not waiting:
             words = self._paths.next_points() if self._paths is not None else None
-            return None if words is None else CommandWrite(_POINTS, 0, words)
+            if words is not None:
+                self._points_next = False
+                return CommandWrite(_POINTS, 0, words)
+        if not waiting:
+            return None
+        self._points_next = True
         mode = next(iter(waiting.values())).mode
         together = {axis: target.raw for axis, target in waiting.items() if target.mode is mode}
         self.discard(together)
