@@ -107,6 +107,7 @@ class Setup:
     direction: int = 1  # of both joints
     running: bool = True  # begin enabled, with joints that a goal has moved
     preferred_source: str = ""  # parameter of the bridge
+    separate: bool = False  # each joint has controllers of its own
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,8 @@ class Step:
     event: str  # of `EVENTS`, or "stall", "stranger"
     pause: float = 0.7  # until the next event [s]
     controller: Kind = "trajectory"  # activate, deactivate: the controller; empty: only the hardware
+    second: Kind = "trajectory"  # activate: the controller of the second joint, if it has its own
+    hardware: bool = True  # deactivate: also the hardware, else it goes on sending
     restart: bool = False  # activate: in a new process of the controller_manager
     setup: Setup | None = None  # of this process; None: that of the sequence
     distance: float = 1.0  # goal, move: from the place of the joint [rad]; the second joint moves the other way
@@ -136,6 +139,7 @@ SETUP_VALUES: Final[Mapping[str, Sequence[Any]]] = {
     "gear_ratio": (1.0, 3.0),
     "direction": (1, -1),
     "running": (True, True, False),
+    "separate": (False, False, True),
 }
 """Values of a `Setup`, the simplest first."""
 
@@ -147,8 +151,43 @@ STEP_VALUES: Final[Mapping[str, Sequence[Any]]] = {
     "time": (0.6, 0.4, 1.2),
     "velocities": (False, True),
     "topic": ("path", "position"),
+    "second": ("trajectory", "position", "velocity"),
+    "hardware": (True, True, False),
 }
 """Values of a `Step` without its event, the simplest first."""
+
+
+@dataclass
+class _Group:
+    """Controllers of the same joints, of which one is active at a time."""
+
+    axes: tuple[int, ...]
+    trajectory: JointTrajectoryController
+    forward: dict[str, ForwardController]  # by interface
+    active: Kind = ""
+
+    @staticmethod
+    def of(setup: Setup, axes: tuple[int, ...]) -> _Group:
+        """Return the inactive controllers of some axes."""
+        joints = [_JOINTS[axis] for axis in axes]
+        trajectory = JointTrajectoryController(
+            joints,
+            setup.rate,
+            interpolate_from_desired_state=setup.interpolate_from_desired_state,
+            continuous=joints if setup.joints == "angles" else (),
+            constraints=_CONSTRAINTS[setup.tolerances],
+            last_command_on_activation=setup.last_command_on_activation,
+        )
+        return _Group(axes, trajectory, {name: ForwardController(joints, name) for name in (POSITION, VELOCITY)})
+
+    @property
+    def controllers(self) -> dict[str, Controller]:
+        """All controllers, by kind."""
+        return {"trajectory": self.trajectory, **self.forward}
+
+    def of_axes(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Values of its axes, of those of all axes."""
+        return tuple(values[axis] for axis in self.axes)
 
 
 class CommandSequence:
@@ -210,18 +249,10 @@ class CommandSequence:
             dict.fromkeys(_JOINTS, (POSITION, VELOCITY)),
             OLD_PLUGIN if setup.old_plugin else CURRENT_PLUGIN,
         )
-        self.trajectory = JointTrajectoryController(
-            _JOINTS,
-            setup.rate,
-            interpolate_from_desired_state=setup.interpolate_from_desired_state,
-            continuous=_JOINTS if setup.joints == "angles" else (),
-            constraints=_CONSTRAINTS[setup.tolerances],
-            last_command_on_activation=setup.last_command_on_activation,
-        )
-        self.forward = {name: ForwardController(_JOINTS, name) for name in (POSITION, VELOCITY)}
-        self._controllers: dict[str, Controller] = {"trajectory": self.trajectory, **self.forward}
-        self._manager = ControllerManager(self.hardware, list(self._controllers.values()), setup.rate)
-        self._active: Kind = ""
+        self._groups = [_Group.of(setup, axes) for axes in ([(0,), (1,)] if setup.separate else [(0, 1)])]
+        self.trajectory = self._groups[0].trajectory
+        controllers = [each for group in self._groups for each in group.controllers.values()]
+        self._manager = ControllerManager(self.hardware, controllers, setup.rate)
         self._process += 1
 
     def _on_states(self, message: JointState) -> None:
@@ -299,6 +330,7 @@ class CommandSequence:
             interpolate_from_desired_state=False,
             last_command_on_activation=False,
             tolerances="shipped",
+            separate=False,
         )
         yield from self._events((Step("activate", 0.1, restart=True, setup=shipped), Step("enable", 0.3)))
         place = self._now().positions
@@ -380,57 +412,64 @@ class CommandSequence:
         self._permission.renew(self._now())
         yield from self._wait(0.05)
         known = not any(map(math.isnan, self.hardware.states.values()))
-        if step.controller and step.controller != self._active and known:
-            stopped = self._controllers.get(self._active)
-            self._active = step.controller
-            self._manager.switch(start=self._controllers[step.controller], stop=stopped)
+        for group in self._groups:
+            wanted = step.controller if 0 in group.axes else step.second
+            if step.controller and wanted != group.active and known:
+                stopped = group.controllers.get(group.active)
+                group.active = wanted
+                self._manager.switch(start=group.controllers[wanted], stop=stopped)
 
     def _deactivate(self, step: Step) -> Iterator[float]:
-        if step.controller and self._active:
-            self._manager.switch(stop=self._controllers[self._active])
-            self._active = ""
-        self._manager.set_hardware_active(False)
+        for group in self._groups:
+            if step.controller and group.active:
+                self._manager.switch(stop=group.controllers[group.active])
+                group.active = ""
+        self._manager.set_hardware_active(not step.hardware)
         yield 0.0
         self._permission.renew(self._now())
 
     def _goal(self, step: Step) -> Iterator[float]:
         yield 0.0
         targets, speed = self._targets(step, 1.0), abs(step.distance) / step.time
-        if self._active == "trajectory":
-            velocities = (0.0,) * AXES if step.velocities else ()
-            self.trajectory.goal([Point(self._reported(targets), velocities, (), step.time)])
-            speeds = (1.5 * speed,) * AXES
-            valid = partial(self._executes_goal, self._process)
-            self._begin(Command(targets, speeds, valid, stopped=False, duration=step.time))
-        elif self._active:
-            self._forward(self.forward[self._active], step, targets)
+        for group in self._groups:
+            if group.active == "trajectory":
+                velocities = (0.0,) * len(group.axes) if step.velocities else ()
+                group.trajectory.goal([Point(group.of_axes(self._reported(targets)), velocities, (), step.time)])
+                valid = partial(self._executes_goal, self._process, group)
+                speeds = (1.5 * speed,) * AXES
+                axes = set(group.axes)
+                self._begin(Command(targets, speeds, valid, stopped=False, duration=step.time, axes=axes))
+            elif group.active:
+                self._forward(group, step, targets)
 
-    def _forward(self, controller: ForwardController, step: Step, targets: tuple[float, ...]) -> None:
+    def _forward(self, group: _Group, step: Step, targets: tuple[float, ...]) -> None:
+        controller = group.forward[group.active]
         if controller.interface == POSITION:
             values, ends, speed, delay = self._reported(targets), targets, math.inf, DELAY
         else:
             speed, delay = step.distance / step.time, TIMEOUT
             values, ends = (speed, -speed), (math.copysign(math.inf, speed), -math.copysign(math.inf, speed))
-        controller.command(values)
-        valid = partial(self._forwarded, self._process, controller, values)
-        self._begin(Command(ends, (abs(speed),) * AXES, valid, delay=delay))
+        controller.command(group.of_axes(values))
+        valid = partial(self._forwarded, self._process, group, controller, group.of_axes(values))
+        self._begin(Command(ends, (abs(speed),) * AXES, valid, delay=delay, axes=set(group.axes)))
 
-    def _executes_goal(self, process: int) -> bool:
-        return process == self._process and self.trajectory.executes_goal
+    def _executes_goal(self, process: int, group: _Group) -> bool:
+        return process == self._process and group.trajectory.executes_goal
 
-    def _forwarded(self, process: int, controller: ForwardController, values: tuple[float, ...]) -> bool:
+    def _forwarded(self, process: int, group: _Group, controller: ForwardController, values: tuple[float, ...]) -> bool:
         if process != self._process or not self.hardware.active:
             return False
-        return controller.values == values or (controller.interface == VELOCITY and self._left_behind(values))
+        return controller.values == values or (controller.interface == VELOCITY and self._left_behind(group, values))
 
-    def _left_behind(self, velocities: tuple[float, ...]) -> bool:
+    def _left_behind(self, group: _Group, velocities: tuple[float, ...]) -> bool:
         """Whether the hardware goes on sending the velocities of a controller that has ended, and nothing else."""
-        sent = tuple(self.hardware.commands[joint, VELOCITY] for joint in _JOINTS)
-        return sent == velocities and all(controller.values is None for controller in self.forward.values())
+        sent = tuple(self.hardware.commands[_JOINTS[axis], VELOCITY] for axis in group.axes)
+        return sent == velocities and all(controller.values is None for controller in group.forward.values())
 
     def _cancel(self, _: Step) -> Iterator[float]:
         yield 0.0
-        self.trajectory.cancel()
+        for group in self._groups:
+            group.trajectory.cancel()
 
     def _move(self, step: Step) -> Iterator[float]:
         yield 0.0

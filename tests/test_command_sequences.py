@@ -126,6 +126,20 @@ def test_velocity_controller_turns_the_joint_until_a_trajectory_controller_succe
     assert goal == pytest.approx((1.0, -1.0), abs=GOAL_ERROR)
 
 
+def test_a_velocity_controller_of_one_joint_does_not_delay_the_trajectory_of_the_other() -> None:
+    steps = [
+        Step("activate", second="velocity"),
+        Step("goal", 1.5, distance=2.0, time=1.0),
+        Step("activate", controller="velocity"),
+        Step("goal", 1.5, distance=2.0, time=1.0),
+    ]
+    sequence = CommandSequence(Setup(separate=True, baud=115_200), steps)
+    assert not sequence.run(), sequence.log
+    _, first, _, second = moved(sequence)
+    assert first == (pytest.approx(2.0, abs=GOAL_ERROR), pytest.approx(-3.0, abs=0.3))
+    assert second == (pytest.approx(3.0, abs=0.3), pytest.approx(-2.0, abs=GOAL_ERROR))
+
+
 def test_position_controller_after_a_velocity_controller() -> None:
     """The velocity stays in the messages."""
     steps = [
