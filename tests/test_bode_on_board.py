@@ -64,6 +64,7 @@ def bode(line: InterruptedLine, baud: int) -> Tool:
 
     def run(*arguments: object) -> int:
         args = tool._parser().parse_args(["bode", *map(str, arguments)])
+        args.check(args)
         return int(args.run(Context(args, Catalogue.load(), session, "line", baud, LowLatency(True, ""))))
 
     return run

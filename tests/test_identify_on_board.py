@@ -57,6 +57,7 @@ def _identify(board: Board, folder: Path, line: SimulatedLine | None = None) -> 
     parser = argparse.ArgumentParser()
     tool_identify.add_arguments(parser)
     args = parser.parse_args(["--voltage", "24", "--current", "4", "--r-on", "0.03", "--out", str(folder)])
+    tool_identify.check(args)
     context: Any = argparse.Namespace(args=args, session=session, catalogue=session.catalogue)
     return tool_identify.identify(context)
 

@@ -80,6 +80,7 @@ def test_board_restores_itself_when_the_program_is_killed(
         line = DeadLine(board, end)
         session = connect(Client(Line(line, baud=BAUD, clock=line.clock)), CATALOGUE)
         args: Any = tool._parser().parse_args(arguments_of(command, tmp_path))
+        args.check(args)
         context = Context(args, CATALOGUE, session, "line", BAUD, LowLatency(True, ""))
         with contextlib.suppress(FreemasterError, MeasurementError):
             assert args.run(context) != 0

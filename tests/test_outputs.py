@@ -15,6 +15,7 @@ from servo_msgs_py import argument
 CHECKED: Final = (argument.output_file, argument.output_folder, argument.picture)
 INPUTS: Final = {
     "config",
+    "file",
     "core",
     "firmware",
     "flash",

@@ -29,6 +29,7 @@ from servo_bridge import (
     tool_storage,
     tool_tune,
 )
+from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.desktop_project import desktop_project
 from servo_bridge.freemaster.client import PASSWORD_VARIABLE, Client, password_of_environment
 from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
@@ -61,6 +62,10 @@ def _project_file(text: str) -> Path:
     if Path(text).suffix != ".pmpx":
         raise argparse.ArgumentTypeError(f"{text} does not end in .pmpx")
     return argument.output_file(text)
+
+
+def _nothing(_: argparse.Namespace) -> None:
+    """Check of a command that has nothing to check without a board."""
 
 
 def _ask_password() -> str | None:
@@ -103,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
 
     def add(name: str, run: tool_commands.CommandFunction, text: str) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=text, description=text, parents=[common])
-        command.set_defaults(run=run)
+        command.set_defaults(run=run, check=_nothing)
         return command
 
     add("info", tool_commands.info, "print the identification of the board")
@@ -129,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
         tool_record.record,
         "write variables to a file: at the rate of the line, or as a burst at the rate of the control loops",
     )
+    command.set_defaults(check=tool_record.check)
     command.add_argument("names", nargs="+", metavar="NAME")
     command.add_argument(
         "-o",
@@ -150,6 +156,7 @@ def _parser() -> argparse.ArgumentParser:
         tool_scope.scope,
         "show telemetry and repeated bursts of the board's recorder live in the rerun viewer",
     )
+    command.set_defaults(check=BurstRequest.of)
     command.add_argument("names", nargs="+", metavar="NAME", help="variable of the bursts")
     tool_scope.add_options(command)
     command = add("snapshot", tool_faults.snapshot, "print the record of the first fault of each axis")
@@ -166,8 +173,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument("file", type=_project_file, metavar="FILE.pmpx")
     command = add("identify", tool_identify.identify, "identify the motor of an axis; the shaft moves")
+    command.set_defaults(check=tool_identify.check)
     tool_identify.add_arguments(command)
     command = add("tune", tool_tune.tune, "change gains and motor data of a running board, or read them back")
+    command.set_defaults(check=tool_tune.check)
     tool_tune.add_arguments(command)
     command = add("bode", tool_bode.bode, "measure the open loop of a controller on the running axis")
     command.description = tool_bode.ABOUT
@@ -182,7 +191,9 @@ def _parser() -> argparse.ArgumentParser:
         ("diff", tool_commands.diff, "compare a file with the board; exit status 1 if they differ"),
     ):
         command = add(name, run, text)
-        command.add_argument("file", metavar="FILE", help=".toml or .json", nargs="?" if name == "save" else None)
+        command.set_defaults(check=tool_commands.check_save if name == "save" else tool_commands.check_file)
+        optional = "?" if name == "save" else None
+        command.add_argument("file", type=Path, metavar="FILE", help=".toml or .json", nargs=optional)
         if name == "save":
             command.add_argument(
                 "--to-board",
@@ -221,6 +232,8 @@ def _run(args: argparse.Namespace) -> int:
         write_file(args.file, desktop_project(Catalogue.load(), baud))
         return 0
     run: tool_commands.CommandFunction = args.run
+    check: tool_commands.Check = args.check
+    check(args)  # before the port is opened
     connected = False
     try:
         with SerialPort(port, baud) as serial_port:

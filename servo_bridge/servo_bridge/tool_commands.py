@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, numbers
-from servo_msgs_py.output_file import named, write_file
+from servo_msgs_py.output_file import check_output, named, write_file
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import PERIOD_NS
 from servo_msgs_py.value_text import name_text
@@ -49,6 +49,8 @@ class Context:
 
 
 CommandFunction = Callable[[Context], int]
+Check = Callable[[argparse.Namespace], object]
+"""Check of arguments and files before the port is opened; what it reads becomes an attribute of the arguments."""
 Selection = list[tuple[BoardVariable, int | None]]
 
 
@@ -193,8 +195,6 @@ def record(context: Context) -> int:
     rows = 0
     first = last = None
     started = time.monotonic()
-    if len(context.args.output) > 1:
-        raise UsageError("without burst options only one output file is possible")
     (output,) = context.args.output
     with named(output), output.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -221,12 +221,17 @@ def record(context: Context) -> int:
     return 0
 
 
-def save(context: Context) -> int:
-    """Save parameters."""
-    if context.args.to_board == bool(context.args.file):
+def check_save(args: argparse.Namespace) -> None:
+    if args.to_board == bool(args.file):
         raise UsageError(
             "write a FILE for the parameters, or --to-board to store parameters and configuration on the board"
         )
+    if args.file:
+        check_output(parameter_file.checked(args.file))
+
+
+def save(context: Context) -> int:
+    """Save parameters."""
     if context.args.to_board:
         return save_to_board(context)
     variables = context.session.variables
@@ -236,13 +241,17 @@ def save(context: Context) -> int:
         print(f"servo-tool: no writable variable matches {context.args.match!r}", file=sys.stderr)
         return 1
     warn(context)
-    path = parameter_file.checked(Path(context.args.file))
+    path: Path = context.args.file
     parameters = {v.name: _named(v, context.session.read(v), context.catalogue) for v in chosen}
     known = context.catalogue.hash if context.session.mismatch is None else None
     text = parameter_file.dump(path, parameters, {v.name: v.unit for v in chosen}, known)
     write_file(path, text)
     print(f"{len(parameters)} parameters in {path}")
     return 0
+
+
+def check_file(args: argparse.Namespace) -> None:
+    parameter_file.load(parameter_file.checked(args.file), None)
 
 
 def load(context: Context) -> int:

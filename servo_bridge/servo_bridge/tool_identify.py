@@ -9,7 +9,7 @@ import sys
 from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from servo_measurement.access import MeasurementError
 from servo_measurement.estimation import estimates_of
@@ -72,12 +72,27 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     )
 
 
+def check(args: argparse.Namespace) -> None:
+    """Check the limits, and read the configuration with all other entries."""
+    path = args.config or SERVO_TOML
+    if not path.is_file():
+        raise UsageError(f"no such file: {path}; write --config with the servo.toml of this board")
+    try:
+        args.limits = Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, args.r_on)
+        args.base = read_toml(path)
+    except TextFileError as error:
+        raise UsageError(f"{path}: {error}") from None
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
 def identify(context: Context) -> int:
     """Test the motor, save the measurement and evaluate it."""
     args = context.args
     try:
-        limits = Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, args.r_on)
-        log, problem, signalled = _measured(context, limits)
+        if args.config is None:
+            _refuse_other_machine(context, SERVO_TOML)
+        log, problem, signalled = _measured(context, args.limits)
     except (MeasurementError, ConfigError, ValueError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
@@ -94,10 +109,9 @@ def identify(context: Context) -> int:
 
 def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, int]:
     """Return the measurement, the reason if it is incomplete, and the exit status of a signal, else 0."""
-    base = _base(context)
     problem, signalled = "", 0
     with deferred() as stop, measurement_access(context.session, stop.check) as access:
-        test = MotorTest(access, context.args.axis - 1, limits, base, complain)
+        test = MotorTest(access, context.args.axis - 1, limits, context.args.base, complain)
         begin = access.read("tick")[0]
         try:
             test.run()
@@ -113,20 +127,6 @@ def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, in
         with contextlib.suppress(FreemasterError):
             test.log.notes["seconds"] = ((access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
     return test.log, problem, signalled
-
-
-def _base(context: Context) -> dict[str, Any]:
-    """Parsed configuration with all other entries."""
-    path = context.args.config or SERVO_TOML
-    if not path.is_file():
-        raise UsageError(f"no such file: {path}; write --config with the servo.toml of this board")
-    try:
-        table = read_toml(path)
-    except TextFileError as error:
-        raise UsageError(f"{path}: {error}") from None
-    if context.args.config is None:
-        _refuse_other_machine(context, path)
-    return table
 
 
 def _refuse_other_machine(context: Context, path: Path) -> None:

@@ -33,14 +33,29 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _is_burst(args: argparse.Namespace) -> bool:
+    options = (args.recorder, args.trigger, args.before, args.points, args.timeout)
+    return args.level or any(option is not None for option in options)
+
+
+def check(args: argparse.Namespace) -> None:
+    """Check the options of rows or of a burst."""
+    if not _is_burst(args):
+        if len(args.output) > 1:
+            raise UsageError("without burst options only one output file is possible")
+    elif args.duration is not None:
+        raise UsageError("--duration is not for bursts; use --points, or --timeout to stop without a trigger")
+    else:
+        BurstRequest.of(args)
+        for path in args.output:
+            writer_for(path)
+
+
 def record(context: Context) -> int:
     """Record a burst if a burst option is given; else rows over the line."""
     args = context.args
-    options = (args.recorder, args.trigger, args.before, args.points, args.timeout)
-    if all(option is None for option in options) and not args.level:
+    if not _is_burst(args):
         return record_rows(context)
-    if args.duration is not None:
-        raise UsageError("--duration is not for bursts; use --points, or --timeout to stop without a trigger")
     writers = [(writer_for(path), path) for path in args.output]
     recording = BurstRecording(BurstRequest.of(args), context.catalogue)
     warn(context)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_blocks
-from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.output_file import write_file
 from servo_tuning.board_file import text_of
 from servo_tuning.errors import ConfigError
@@ -41,13 +41,22 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     )
 
 
-def tune(context: Context) -> int:
-    """Compute a configuration, print the changes, and apply them on the board."""
-    args = context.args
+def check(args: argparse.Namespace) -> None:
+    """Compute the configuration of the file."""
     if args.from_board == bool(args.file) or (args.output and not args.from_board):
         raise UsageError(
             "write a FILE.toml to send or compare, or --from-board (with -o FILE.toml) to read the configuration"
         )
+    if args.file:
+        try:
+            args.computed = computed(Path(args.file), Catalogue.load())
+        except ConfigError as error:
+            raise UsageError(f"{args.file}: {explained(error)}") from None
+
+
+def tune(context: Context) -> int:
+    """Print the changes by a configuration, and apply them on the board; or read its configuration."""
+    args = context.args
     if context.session.mismatch is not None:
         print(f"servo-tool: {context.session.mismatch}", file=sys.stderr)
         return 1
@@ -55,8 +64,7 @@ def tune(context: Context) -> int:
     try:
         return _from_board(context, memory) if args.from_board else _to_board(context, memory)
     except ConfigError as error:
-        print(f"servo-tool: {args.file or 'the configuration of the board'}: {explained(error)}", file=sys.stderr)
-        return 2 if args.file else 1
+        print(f"servo-tool: the configuration of the board: {explained(error)}", file=sys.stderr)
     except (AxisConfigError, BlockRefusedError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
     return 1
@@ -74,7 +82,7 @@ def _from_board(context: Context, memory: SessionPort) -> int:
 
 def _to_board(context: Context, memory: SessionPort) -> int:
     args = context.args
-    blocks, warnings, notes = computed(Path(args.file), context.catalogue)
+    blocks, warnings, notes = args.computed
     for note in notes:
         print(f"{args.file}: {note}", file=sys.stderr)
     axes = range(AXES) if args.axis is None else [args.axis - 1]

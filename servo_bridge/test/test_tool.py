@@ -359,6 +359,33 @@ def test_features_are_saved_by_name(
     assert fake_board.get("param.features") == [0b11, 0]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["tune", "none.toml"], "none.toml: No such file"),
+        (["tune"], "write a FILE.toml"),
+        (["tune", "bad.toml", "--dry-run"], "bad.toml: "),
+        (["identify", "--voltage", "24", "--current", "4", "--config", "none.toml"], "no such file: none.toml"),
+        (["identify", "--voltage", "24", "--current", "4", "--config", "bad.toml"], "bad.toml: "),
+        (["save"], "write a FILE for the parameters"),
+        (["save", "bad.toml/x.toml"], "bad.toml"),
+        (["load", "none.toml"], "none.toml: No such file"),
+        (["diff", "bad.toml"], "bad.toml: "),
+        (["record", "u_dc", "-o", "a.csv", "-o", "b.csv"], "only one output file"),
+        (["record", "u_dc", "-o", "a.csv", "--level"], "--level needs a trigger"),
+        (["record", "u_dc", "-o", "a.csv", "--points", "9", "--duration", "1"], "--duration is not for bursts"),
+        (["scope", "u_dc", "--level"], "--level needs a trigger"),
+    ],
+)
+def test_files_and_arguments_are_checked_before_the_port_is_opened(
+    arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.toml").write_text("[")
+    assert tool.main([*arguments, "--port", "/none"]) == 2
+    assert text in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", ["save", "load", "diff"])
 def test_a_file_of_another_kind_is_refused(
     fake_port: FakePort, run: Run, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
