@@ -13,6 +13,7 @@ from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Sc
 from servo_tuning.constants import SIGN_FACTOR, SIGN_USE, SILENT_USE, dead_time_current, ripple_current, sign_current
 from servo_tuning.errors import Remedy, exactly, higher, lower
 from servo_tuning.field_weakening import idle_speed
+from servo_tuning.gains import CURRENT_SAMPLES_MIN
 from servo_tuning.rotor_search import check_rotor_search
 from servo_tuning.sensorless_checks import check_observer_entries
 from servo_tuning.winding import check_winding
@@ -20,9 +21,11 @@ from servo_tuning.winding import check_winding
 RANGE_USE: Final = 0.8
 """Largest current with its ripple, over the range of the current sensors; the comparators trip in the rest."""
 
-LOST_VOLTAGE_COUNTS_MAX: Final = 40.0
-"""Largest movement of a shaft by dead time and switch drops. Of random motors on the switching plant most with 43 and
-more oscillated by 13 .. 900 counts, or had a fault; those with less than 20 drove."""
+LOST_VOLTAGE_TIME: Final = 2.1e-3
+"""Time until a speed loop of 75 Hz answers [s]."""
+LOST_VOLTAGE_COUNTS_MAX: Final = 25.0
+"""Largest movement of a shaft by dead time and switch drops. Of 12 random motors on the switching plant with 32 and
+more, 11 oscillated by 10 .. 900 counts or had a fault; of 10 with less, three did."""
 
 
 def check(configuration: Configuration, catalogue: Catalogue) -> None:
@@ -152,14 +155,13 @@ def _ripple(axis: Axis, board: Board, scales: Scales) -> None:
 def _lost_voltage(axis: Axis, board: Board) -> None:
     """Check that the voltage of dead time and switch drops moves a shaft little where its sign is not known.
 
-    The current loop limits the current by it, until the speed loop answers.
+    The fastest current loop limits the current by it, a usual speed loop the time in which it accelerates the shaft.
     """
     hidden = SIGN_FACTOR * (dead_time_current(axis, board) + ripple_current(axis, board))
     lost = board("nominal_voltage") * board("dead_time") / board.period + board("switch_drop")
-    current, speed = (2.0 * math.pi * axis(f"control.{key}_bandwidth") for key in ("current", "speed"))
-    motor = axis.motor
-    acceleration = lost * motor.torque_constant / (motor.l_q * motor.inertia * current)
-    moved = acceleration / speed**2 * axis.counts / (2.0 * math.pi)
+    motor, loop = axis.motor, 2.0 * math.pi * board("pwm_frequency") / CURRENT_SAMPLES_MIN
+    acceleration = lost / (motor.l_q * loop) * motor.torque_constant / motor.inertia
+    moved = acceleration * LOST_VOLTAGE_TIME**2 * axis.counts / (2.0 * math.pi)
     if hidden > axis("limits.current") and moved > LOST_VOLTAGE_COUNTS_MAX:
         reason = (
             f"too light for this winding: below {hidden:.2g} A the PWM ripple hides the direction of its current, and"
