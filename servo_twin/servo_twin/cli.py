@@ -59,9 +59,15 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("--time", type=argument.positive, default=10.0, help="simulated time [s] (default: %(default)s)")
     bench.set_defaults(run=_bench)
 
-    exporter = verbs.add_parser("export", parents=[common], help="compile a board for other simulators (FMI 3.0)")
-    exporter.add_argument(
-        "--fmu", type=argument.output_file, required=True, metavar="FILE", help="co-simulation unit to be written"
+    exporter = verbs.add_parser("export", parents=[common], help="write a board for other simulators: FMI 3.0, MuJoCo")
+    kinds = exporter.add_mutually_exclusive_group(required=True)
+    kinds.add_argument("--fmu", type=argument.output_file, metavar="FILE", help="co-simulation unit to be written")
+    kinds.add_argument(
+        "--mjcf",
+        type=argument.output_file,
+        metavar="FILE",
+        help="MuJoCo model to be written: the nearest <dcmotor> of each axis, and its error against the firmware "
+        "(needs servo_twin[mujoco])",
     )
     exporter.set_defaults(run=_export)
 
@@ -88,13 +94,19 @@ def _board(args: argparse.Namespace) -> Board:
 
 
 def _export(args: argparse.Namespace) -> int:
-    from servo_twin.fmu import export_fmu  # needs a C compiler and the sources, unlike the other commands
-
-    export_fmu(args.fmu, PlantConfig.load(args.plant), args.seed)
-    if args.json:
-        print(json.dumps({"fmu": str(args.fmu)}))
+    plant = PlantConfig.load(args.plant)
+    result: dict[str, object]
+    if args.mjcf:
+        result = {"mjcf": str(args.mjcf), "errors": robot.export_mjcf(args.mjcf, plant, args.seed)}
     else:
-        print(f"wrote {args.fmu}")
+        from servo_twin.fmu import export_fmu  # needs a C compiler and the sources, unlike the other commands
+
+        export_fmu(args.fmu, plant, args.seed)
+        result = {"fmu": str(args.fmu)}
+    if args.json:
+        print(json.dumps(result))
+    else:
+        print(f"wrote {args.mjcf or args.fmu}")
     return 0
 
 

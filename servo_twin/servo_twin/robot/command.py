@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_port import active
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.output_file import write_file
 from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
@@ -70,12 +73,52 @@ def load(name: str) -> RobotModel:
     ValueError
         If the file is not valid.
     """
-    try:
+    with _needs_mujoco():
         from servo_twin.robot.robot_model import RobotModel
-    except ImportError as error:
-        raise SimulationError(f"a robot needs MuJoCo ({error}): pip install 'servo_twin[mujoco]'") from None
     example = EXAMPLES / f"{name}.xml"
     return RobotModel(example if example.is_file() else Path(name))
+
+
+def export_mjcf(path: Path, plant: PlantConfig, seed: int) -> list[dict[str, object]]:
+    """Write a model with the motors of MuJoCo that are nearest to the axes of a board, and their errors.
+
+    Parameters
+    ----------
+    path : Path
+        File to be written.
+    plant : PlantConfig
+        Motors and supply.
+    seed : int
+        Seed of the board.
+
+    Returns
+    -------
+    list of dict
+        Errors by axis and move; see `servo_twin.robot.dcmotor.Errors`.
+
+    Raises
+    ------
+    SimulationError
+        If MuJoCo is not installed, or an axis has a fault.
+    OSError
+        If the file cannot be written.
+    """
+    with _needs_mujoco():
+        from servo_twin.robot.dcmotor import model_text, nearest
+    motors, errors = nearest(plant, seed)
+    rows = [["axis", "move", "error rms [rad]", "largest [rad]"]]
+    rows += [[e.axis, e.move, f"{e.rms:.5f}", f"{e.largest:.5f}"] for e in errors]
+    table = "\n".join(["Angle of the motor against the firmware in mode TRAJECTORY:", *aligned(rows, "<<>")])
+    write_file(path, model_text(motors, table))
+    return [e._asdict() for e in errors]
+
+
+@contextmanager
+def _needs_mujoco() -> Iterator[None]:
+    try:
+        yield
+    except ImportError as error:
+        raise SimulationError(f"this needs MuJoCo ({error}): pip install 'servo_twin[mujoco]'") from None
 
 
 def follow(robot: RobotModel, drives: RobotDrives, seconds: float | None = None) -> RobotLog:
