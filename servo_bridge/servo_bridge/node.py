@@ -27,6 +27,9 @@ from servo_bridge.wire.link import Link
 MESSAGE_BYTES_MAX: Final = 4096
 """Largest message of a topic; a JointState of two joints has 200 [bytes]."""
 
+_READS: Final = ("get_", "list_", "describe_")
+"""Beginnings of services that change nothing; their calls are not recorded."""
+
 
 class ServoBridge(LifecycleNode):
     """The node of the bridge.
@@ -123,8 +126,23 @@ class ServoBridge(LifecycleNode):
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *arguments: Any, **options: Any
     ) -> Any:
         """As `Node.create_service`."""
-        timed = self.watch.timed(f"service {srv_name}", callback)
-        return super().create_service(srv_type, srv_name, timed, *arguments, **options)
+        if srv_name.rpartition("/")[2].startswith(_READS):
+            timed = self.watch.timed(f"service {srv_name}", callback)
+            return super().create_service(srv_type, srv_name, timed, *arguments, **options)
+
+        def called(request: Any, response: Any) -> Any:
+            seen(request, "request")
+            return callback(request, response)
+
+        def answered(response: Any, header: Any) -> None:
+            seen(response, "response")
+            send(response, header)
+
+        timed = self.watch.timed(f"service {srv_name}", called)
+        service = super().create_service(srv_type, srv_name, timed, *arguments, **options)
+        seen, send = self.tap.of_service(service, self.get_namespace()), service.send_response
+        setattr(service, "send_response", answered)  # noqa: B010, rclpy looks it up at every call
+        return service
 
     def create_timer(self, period: float, callback: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         """As `Node.create_timer`."""

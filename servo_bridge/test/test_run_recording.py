@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import resource
 import sys
 import time
@@ -148,6 +149,11 @@ def test_a_run_is_recorded_whole(tmp_path: Path) -> None:
     assert recorded(path, "/servo/joint_commands", JointState)[0] == command
     assert recorded(path, "/servo/state", String)[0].data == "axis1=RUN/SPIN axis2=RUN/SPIN"
     assert recorded(path, "/twin/state", String)[0].data == "following"
+    calls = [json.loads(message.data) for message in recorded(path, "/servo/calls", String)]
+    disabling = calls.index({"service": "/servo/enable", "request": {"data": False}})
+    assert {"service", "response"} == set(calls[disabling + 1])
+    assert calls[disabling + 1]["response"]["success"] is True
+    assert calls[-1] == {"service": "/servo/record_run", "request": {"data": False}}
     info = run_info(recorded(path, "/servo/run_info", String)[-1].data)
     assert info.board["name"] == "fake"
     assert len(info.parameters) > 10

@@ -1,4 +1,4 @@
-"""All messages that the node of the bridge publishes and receives, for a recording of the run.
+"""All messages that the node of the bridge publishes and receives, and the calls of its services, for recordings.
 
 They are taken where they are serialised and before they are deserialised: nothing is lost on the way through the
 middleware, and nothing is converted twice.
@@ -6,12 +6,18 @@ middleware, and nothing is converted twice.
 
 from __future__ import annotations
 
+import json
 import time
+from array import array
 from collections.abc import Callable
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy
+from rclpy.serialization import serialize_message
 from servo_msgs_py.run_file.topic import Topic, type_of
+from std_msgs.msg import String
+
+from servo_msgs_py import topics
 
 Receiver = Callable[[Topic, bytes, int], None]
 """Receives topic, serialised message and time since the epoch [ns]."""
@@ -46,3 +52,31 @@ class MessageTap:
                 self.receiver(topic, data, time.time_ns())
 
         return seen
+
+    def of_service(self, service: Any, namespace: str) -> Callable[[Any, str], None]:
+        """Function to be called with every request and response of a service, and which of both it is.
+
+        Parameters
+        ----------
+        service : Service
+            Of rclpy.
+        namespace : str
+            Of the topic `topics.CALLS`.
+        """
+        topic = Topic(f"{namespace.rstrip('/')}/{topics.CALLS}", type_of(String))
+
+        def seen(message: Any, kind: str) -> None:
+            if self.receiver is not None:
+                text = json.dumps({"service": service.service_name, kind: _plain(message)})
+                self.receiver(topic, serialize_message(String(data=text)), time.time_ns())
+
+        return seen
+
+
+def _plain(value: Any) -> Any:
+    """A message, or a value in one, as JSON has it."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, (list, array)):
+        return [_plain(each) for each in value]
+    return value if isinstance(value, (str, int, float)) else str(value)
