@@ -123,6 +123,7 @@ def test_what_if_the_speed_loop_were_slower(equal: Path, tmp_path: Path, capsys:
     result = replay(equal, capsys, "--config", str(config), status=1)
     assert result["first"]["time"] > 0.1  # not before the axes are enabled
     assert result["controller"] == "axis1"
+    assert "the controller of axis1 differs (configuration or parameter)" in result["verdict"]
     replay(equal, capsys, "--config", str(SERVO_TOML), status=0)
 
 
@@ -224,7 +225,7 @@ def test_another_build_is_taken_from_its_checkout(
     equal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     checkout = Path(servo_twin.__file__).parents[2]
-    assert replay(equal, capsys, "--firmware", str(checkout), status=0)["other_build"] is None
+    assert replay(equal, capsys, "--firmware", str(checkout), status=0)["other_build"] == ""
     other = tmp_path / "_native.so"
     other.write_bytes(Path(FIRMWARE["ideal"].file).read_bytes() + b"other")  # the same code with another hash
     result = replay(equal, capsys, "--firmware", str(other), status=0)

@@ -64,10 +64,10 @@ def explain(run: RecordedRun, model: Model, replayed: Replayed) -> Explained | N
     Returns
     -------
     Explained or None
-        None if it is not the controller that differs, or this cannot be told.
+        None if it is not the controller that differs, or another build explains it, or this cannot be told.
     """
     axes = [axis for axis in range(AXES) if axis_name(axis) == replayed.controller]
-    if not axes or replayed.first is None or replayed.first * PERIOD_NS > _BEFORE_MAX * 1e9:
+    if not axes or replayed.other_build or replayed.first is None or replayed.first * PERIOD_NS > _BEFORE_MAX * 1e9:
         return None
     search = _Search(run, model, replayed.first, axes[0])
     return None if search.reconfigured else search.find()

@@ -59,7 +59,7 @@ class Model:
     exact: bool  # equal boards give equal numbers: the run is compared bit for bit
     keeps_configuration: bool  # recorded configuration blocks are repeated
     firmware: Firmware | None = None  # another build; None: that of this checkout
-    other_build: str = ""  # how it differs from the recorded build, for people; empty: equal, or not known
+    other_build: str | None = None  # how it differs from the recorded build, for people; empty: equal; None: not known
     notes: tuple[str, ...] = ()  # why it may differ from the recorded board; for people
 
     def board(self) -> Board:
@@ -101,15 +101,17 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
         exact,
         what_if.servo is None,
         what_if.firmware,
-        "" if virtual is None else _other_build(virtual, what_if.firmware),
+        None if virtual is None else _other_build(virtual, what_if.firmware),
         tuple(notes),
     )
 
 
-def _other_build(recorded: VirtualBoard, firmware: Firmware | None) -> str:
-    """How a build differs from the recorded one; empty if it does not, or the hash of the recorded one is not known."""
+def _other_build(recorded: VirtualBoard, firmware: Firmware | None) -> str | None:
+    """How a build differs from the recorded one; empty: it does not; None: not known."""
     own = FIRMWARE.get(recorded.level) if firmware is None else firmware if recorded.level == FAST_LEVEL else None
-    if own is None or not recorded.build or recorded.build == (build := own.build):
+    if own is None or not recorded.build:
+        return None
+    if recorded.build == (build := own.build):
         return ""
     return (
         f"recorded with another build of firmware and model ({recorded.build[:8]}, here {build[:8]}); "
@@ -176,7 +178,7 @@ class Replayed:
     after: Estimates = field(default_factory=dict)  # and at the end
     findings: list[LocatedFinding] = field(default_factory=list)  # changes of the plant at the end
     explained: Explained | None = None  # of the controller; None: it does not differ, or this cannot be told
-    other_build: str = ""  # as `Model.other_build`
+    other_build: str | None = None  # as `Model.other_build`
     notes: list[str] = field(default_factory=list)  # what could not be replayed, and why
 
     @property

@@ -13,6 +13,8 @@ from servo_twin.runs.divergence import Departure, Estimates
 from servo_twin.runs.replay import Explained, Replayed, at
 
 _ROWS: Final = 12  # variables in the table
+_SUSPECTS: Final = {None: "configuration, parameter or firmware", "": "configuration or parameter"}
+"""What may differ in the controller, by `Replayed.other_build`."""
 
 
 def verdict(replayed: Replayed) -> str:
@@ -60,9 +62,10 @@ def _suspect(replayed: Replayed) -> str:
     if not axis:
         return ""
     if explained is None:
-        return f": the controller of {axis} differs (configuration, parameter or firmware)"
+        what = _SUSPECTS.get(replayed.other_build, "firmware")
+        return f": the controller of {axis} differs ({what})"
     if explained.change is None:
-        return f", and no value of one member of the configuration of {axis}: another parameter or another firmware"
+        return f", and no value of one member of the configuration of {axis}: several, a parameter, or the firmware"
     return f": the configuration differs, {explained.change}"
 
 
@@ -144,7 +147,7 @@ def document(replayed: Replayed) -> dict[str, Any]:
         ],
         "controller": replayed.controller or None,
         "configuration": _configuration(replayed.explained),
-        "other_build": replayed.other_build or None,
+        "other_build": replayed.other_build,
         "notes": replayed.notes,
     }
 
