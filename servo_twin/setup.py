@@ -43,6 +43,8 @@ setup(
         "cluster": ["distributed"],
         # servo-sim robot, servo_twin.robot; there is no MuJoCo 4 for Python 3.10.
         "mujoco": ['mujoco>=4; python_version >= "3.11"'],
+        # servo_twin.vector_env.
+        "gymnasium": ["gymnasium>=1"],
         # servo-twin export --format parquet, servo-sim sweep --parquet; rerun needs it, too.
         "parquet": ["pyarrow"],
         # servo-sim tune-robust.

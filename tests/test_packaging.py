@@ -42,7 +42,7 @@ MODULES_OF_KEY = {"python3-serial": {"serial"}, "python3-cffi": {"cffi"}}
 WITHOUT_KEY = {
     "servo_msgs_py": {"lz4", "mcap", "rosbags", "tomli", "zstandard"},
     "servo_bridge": {"argcomplete", "rerun", "tomli"},
-    "servo_twin": {"mujoco", "pyarrow", "rerun", "tomli"},
+    "servo_twin": {"gymnasium", "mujoco", "pyarrow", "rerun", "tomli"},
 }
 
 HOSTS = {"www.apache.org", "download.ros.org", "www.w3.org", "docs.ros.org", "localhost", "127.0.0.1"}
