@@ -98,7 +98,7 @@ class SetPointQueue:
         self._targets: list[Target | None] = [None] * AXES
         self._halted: set[int] = set()  # axes to be stopped
         self._paths: PathSource | None = None
-        self._points_next = False  # whether points of paths precede set-points in the next write
+        self._order = [*TARGETS.values(), _POINTS]  # variables, the one that was written last at the end
 
     # ---- input
     def follow(self, paths: PathSource) -> None:
@@ -157,8 +157,7 @@ class SetPointQueue:
     def next_write(self) -> CommandWrite | None:
         """Remove the next write: modes before set-points; both axes in one write if the variable is the same.
 
-        Set-points of an axis and points of another alternate, if the line is too slow for both: neither may be late for
-        long.
+        Set-points of different kinds take turns, if the line is too slow for all of them: none may be late for long.
         """
         if self._halted:
             halted, self._halted = self._halted, set()
@@ -172,18 +171,22 @@ class SetPointQueue:
                 changes[axis] = wanted.value
         if changes:
             return _joined("cmd.mode", changes)
-        if self._points_next or not waiting:
+        for variable in self._order:
+            write = self._next_of(variable, waiting)
+            if write is not None:
+                self._order.remove(variable)
+                self._order.append(variable)
+                return write
+        return None
+
+    def _next_of(self, variable: str, waiting: Mapping[int, Target]) -> CommandWrite | None:
+        """Remove the next write of a variable of set-points; None: there is none."""
+        if variable == _POINTS:
             words = self._paths.next_points() if self._paths is not None else None
-            if words is not None:
-                self._points_next = False
-                return CommandWrite(_POINTS, 0, words)
-        if not waiting:
-            return None
-        self._points_next = True
-        mode = next(iter(waiting.values())).mode
-        together = {axis: target.raw for axis, target in waiting.items() if target.mode is mode}
+            return None if words is None else CommandWrite(_POINTS, 0, words)
+        together = {axis: target.raw for axis, target in waiting.items() if TARGETS[target.mode] == variable}
         self.discard(together)
-        return _joined(TARGETS[mode], together)
+        return _joined(variable, together) if together else None
 
     def accepted(self, write: CommandWrite) -> None:
         """Record that the board accepted a write."""
