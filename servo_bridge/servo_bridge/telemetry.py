@@ -15,8 +15,9 @@ from servo_bridge.wire.scope import Sample
 _READY_STATES = ("RUN/SPIN", "RUN/STARTUP")
 """States in which an axis accepts set-points."""
 
-_RATE_MAX = 200.0
-"""Largest rate of samples for controllers [Hz]: at this one the bridge needs a fifth of a core."""
+_RATE_MIN, _RATE_MAX = 100.0, 200.0
+"""Rates of samples for controllers [Hz]: a write needs a sample, and a stream has a point every 10 ms; the upper one
+takes a fifth of a core."""
 
 _PASSING = 2 * SLOW_PERIODS
 """PWM periods after which an axis in RUN/READY waits for a set-point."""
@@ -26,11 +27,11 @@ _PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults")
 
 
 def rate_for_controllers(update_rate: float) -> float:
-    """Rate of the samples that controllers with an update rate need [Hz]: one state per update, within `_RATE_MAX`.
+    """Rate of the samples that controllers with an update rate need [Hz]: one state per update, within bounds.
 
     More of them would take time of the line and of the computer from the set-points; a slow line carries fewer.
     """
-    return min(update_rate, _RATE_MAX)
+    return min(max(update_rate, _RATE_MIN), _RATE_MAX)
 
 
 def required_variables() -> list[str]:

@@ -217,7 +217,7 @@ def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Pat
     parameters = tmp_path / "bridge.yaml"
     parameters.write_text("/**:\n  ros__parameters:\n    joints: [lift, pan]\n    gear_ratio: [50.0, 4.0]\n")
     controllers = tmp_path / "ros2_controllers.yaml"
-    controllers.write_text("controller_manager:\n  ros__parameters:\n    update_rate: 50\n")
+    controllers.write_text("controller_manager:\n  ros__parameters:\n    update_rate: 150\n")
     one = launch(
         "ros2_control.launch.py", "virtual:=true", "baud:=115200", "namespace:=robotA", f"port:={tmp_path}/board",
         f"params:={parameters}", f"controllers:={controllers}", prefix=control_packages,
@@ -234,7 +234,7 @@ def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Pat
     (spawner,) = one.until(r"spawner runs with (.*)")
     assert spawner.startswith("joint_state_broadcaster joint_trajectory_controller --param-file ")
     assert one.log().index("ros2_control_node runs") < one.log().index("spawner runs")
-    assert one.bridge_parameter("telemetry_rate") == 50.0, "a state per update"
+    assert one.bridge_parameter("telemetry_rate") == 150.0, "a state per update"
     one.kill_bridge()
     assert one.end() == 1, one.log()
     assert "the bridge has ended with status -9" in one.log()
