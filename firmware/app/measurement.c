@@ -83,7 +83,7 @@ static void restore_values(servo_t *servo)
     const uint16_t axis = measurement->axis;
     servo->parameter = servo->command.memory.measuring.parameter;
     servo->marks.parameters = true;
-    storage_note_parameter(&servo->storage);
+    storage_note_change(&servo->storage);
     servo->command.speed[axis] = measurement->speed;
     servo->command.i_q[axis] = measurement->i_q;
     if (measurement->stops && servo->command.mode[axis] != measurement->mode) {

@@ -95,6 +95,7 @@ static void take_blocks(servo_t *servo)
         status->taken_tick = servo->applied_tick;
         status->taken_count++;
         servo->marks.parameters = true;
+        storage_note_change(&servo->storage);
     }
 }
 

@@ -110,7 +110,7 @@ static void written(void *context, uint16_t offset, uint16_t size)
     } else if (offset >= offsetof(servo_t, parameter) &&
                offset < offsetof(servo_t, parameter) + sizeof servo->parameter) {
         servo->marks.parameters = true;
-        storage_note_parameter(&servo->storage);
+        storage_note_change(&servo->storage);
     }
 }
 

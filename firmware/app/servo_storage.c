@@ -8,7 +8,6 @@ static storage_board_t storage_board(servo_t *servo)
         .hal = servo->hal,
         .axes = servo->axis,
         .values = {(uint8_t *)servo, (uint16_t)offsetof(servo_t, parameter), &servo->config_blocks},
-        .config_status = &servo->config_status,
         .event_log = &servo->event_log,
         .reserved = servo->measurement_status.state != MEASUREMENT_STATE_NONE,
         .request = (uint16_t)offsetof(servo_t, storage_request),

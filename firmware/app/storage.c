@@ -82,11 +82,10 @@ static uint16_t pair(const uint8_t *data) { return (uint16_t)((data[0] & 0xFFU) 
 /* The copy that is erased last. */
 static uint16_t last_copy(const storage_t *storage) { return (storage->kept == NO_COPY) ? 1U : storage->kept; }
 
-static void begin(storage_t *storage, storage_status_t *status, const storage_board_t *board)
+static void begin(storage_t *storage, storage_status_t *status)
 {
     storage->step = 0;
     storage->changed = false;
-    storage->taken = board->config_status->taken_count;
     storage->crc = CRC32_START;
     storage->copy = other_copy(last_copy(storage));
     status->state = (uint16_t)((storage->kind == STORAGE_REQUEST_SAVE) ? STORAGE_STATE_SAVING : STORAGE_STATE_ERASING);
@@ -109,7 +108,7 @@ static storage_refusal_t take_request(storage_t *storage, storage_status_t *stat
     }
     storage->kind = kind;
     storage->token = token;
-    begin(storage, status, board);
+    begin(storage, status);
     return STORAGE_REFUSAL_NONE;
 }
 
@@ -196,13 +195,6 @@ static void finish(storage_t *storage, storage_status_t *status, const storage_b
     }
 }
 
-/* A value changed since the request: the copy would hold a set of values that was never in force. */
-static bool has_changed(const storage_t *storage, const storage_board_t *board)
-{
-    return storage->kind == STORAGE_REQUEST_SAVE &&
-           (storage->changed || board->config_status->taken_count != storage->taken);
-}
-
 /* Erase the other copy next. The kept copy is erased last: until then a reset restores it. */
 static bool continue_with_other_copy(storage_t *storage)
 {
@@ -231,7 +223,8 @@ void storage_step(storage_t *storage, storage_status_t *status, const storage_bo
         finish(storage, status, board, STORAGE_REFUSAL_NONE);
     } else if (!at_rest(board->axes)) {
         finish(storage, status, board, STORAGE_REFUSAL_MOTION);
-    } else if (has_changed(storage, board)) {
+    } else if (storage->changed && storage->kind == STORAGE_REQUEST_SAVE) {
+        /* the copy would hold a set of values that was never in force */
         finish(storage, status, board, STORAGE_REFUSAL_CHANGED);
     } else {
         start(storage, status, board);

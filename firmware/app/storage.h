@@ -20,9 +20,8 @@ typedef struct {
     uint16_t copy; /* copy that is being written or erased */
     uint16_t step; /* number of completed flash commands */
     uint16_t kept; /* copy that is not overwritten; STORAGE_COPIES: none is usable */
-    uint16_t taken; /* config_status_t.taken_count at the start of the save */
     bool running; /* a flash command is in progress, or its result is not evaluated yet */
-    bool changed; /* a parameter was written since the start of the save */
+    bool changed; /* a value that is stored has changed since the start of the request */
     uint32_t word; /* word that is being programmed */
     uint32_t crc; /* CRC-32 of the words before `word` */
 } storage_t;
@@ -32,7 +31,6 @@ typedef struct {
     hal_t *hal;
     const axis_t *axes;
     stored_values_t values;
-    const config_status_t *config_status;
     event_log_t *event_log;
     bool reserved; /* a measurement has changed the values for a while */
     uint16_t request; /* offset of the request in servo_t, bytes */
@@ -46,8 +44,8 @@ void storage_begin(storage_t *storage, storage_status_t *status, const storage_b
 bool storage_accept(storage_t *storage, storage_status_t *status, const storage_board_t *board, uint16_t offset,
                     bool whole, const uint8_t *data, uint16_t size);
 
-/* Note that the host has written a parameter. */
-static inline void storage_note_parameter(storage_t *storage) { storage->changed = true; }
+/* Note that a value that is stored has changed: a parameter was written, or a block taken. */
+static inline void storage_note_change(storage_t *storage) { storage->changed = true; }
 
 /* True while a flash command is in progress: the data flash, which contains the tables of the server, must not be
  * read. */
