@@ -35,7 +35,7 @@ def parameters(path: Path) -> object:
 
 
 def positions(path: Path) -> object:
-    return read_waypoints(path, ["axis1"]).positions.tolist()
+    return read_waypoints(path).positions.tolist()
 
 
 FILES: dict[str, tuple[Callable[[Path], object], str]] = {

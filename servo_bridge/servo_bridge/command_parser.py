@@ -41,6 +41,16 @@ def _assignment(text: str) -> Assignment:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
+def _waypoints(text: str) -> object:
+    from servo_bridge.trajectory.errors import TrajectoryError
+    from servo_bridge.trajectory.files import read_waypoints
+
+    try:
+        return read_waypoints(text)
+    except TrajectoryError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def _parameter(text: str) -> tuple[Variable, int | None]:
     try:
         return find(text, Catalogue.load())
@@ -127,7 +137,7 @@ def _add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) 
     follower = verbs.add_parser(
         "follow", help="follow a path from a .csv (time, joints, <joint>_velocity) or .json file"
     )
-    follower.add_argument("file", metavar="FILE")
+    follower.add_argument("waypoints", type=_waypoints, metavar="FILE")
     waver = verbs.add_parser("sine", help="follow a sine about the present position, with fade-in and fade-out")
     waver.add_argument("joint", metavar="JOINT")
     waver.add_argument("--amplitude", type=argument.positive, required=True, metavar="RAD")

@@ -16,10 +16,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from servo_bridge.trajectory.check import Limits, require
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.files import read_waypoints
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.shapes import move, sine
 from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.waypoints import Waypoints
 from servo_bridge.trajectory_limits import path_limits
 
 _SAMPLES: Final = 4000  # of a path, to find its largest speed and acceleration
@@ -110,7 +110,8 @@ def _plan(
     if args.verb == "sine":
         _check_joints([args.joint], positions)
         return sine(args.joint, positions[args.joint], args.amplitude, args.frequency, args.duration)
-    waypoints = read_waypoints(args.file, list(positions))
+    waypoints: Waypoints = args.waypoints
+    _check_joints(waypoints.joints, positions)
     state = State.at_rest([positions[joint] for joint in waypoints.joints])
     wrapping = [joint for joint in waypoints.joints if joints[joint].wraps]
     return path_through(waypoints.unwrapped(waypoints.positions[0], state.position, wrapping), state)

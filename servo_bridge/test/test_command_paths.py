@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 from servo_bridge.command_paths import run_path
 from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.files import read_waypoints
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import Joint
@@ -60,9 +61,16 @@ def test_a_joint_that_wraps_moves_by_the_shorter_way(tmp_path: Path, wraps: bool
     move = argparse.Namespace(verb="move", dry_run=True, targets=[("axis1", -3.0)], time=1.0)
     file = tmp_path / "path.csv"
     file.write_text("time,axis1\n1.0,-3.0\n")
-    follow = argparse.Namespace(verb="follow", dry_run=True, file=str(file))
+    follow = argparse.Namespace(verb="follow", dry_run=True, waypoints=read_waypoints(file))
     for args in (move, follow):
         assert f"axis1: to {end}" in run_path(user, args, not_followed)
+
+
+def test_a_path_of_a_joint_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "path.csv").write_text("time,elbow\n1.0,-3.0\n")
+    follow = argparse.Namespace(verb="follow", dry_run=True, waypoints=read_waypoints(tmp_path / "path.csv"))
+    with pytest.raises(TrajectoryError, match="joint 'elbow' does not exist; the joints are axis1"):
+        run_path(user_of(Joint("axis1"), MOTORS, position=3.0), follow, not_followed)
 
 
 def test_current_of_an_unknown_motor_is_not_reported() -> None:

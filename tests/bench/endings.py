@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from chain import FAST_BAUD, Chain, ros_user
 
 PATHS: Final = {
-    "follow bad.csv": 1,
-    "follow missing.csv": 1,
+    "follow bad.csv": 2,
+    "follow missing.csv": 2,
     "move axis9=1 --time 1": 1,
     "position axis1=1": 1,
     "home axis9 --method stop-positive": 1,

@@ -24,7 +24,7 @@ _VELOCITY = "_velocity"
 _POINT = ("time_from_start", "positions", "velocities", "accelerations", "effort")
 
 
-def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
+def read_waypoints(file: str | File) -> Waypoints:
     """Read waypoints; the format is given by the suffix.
 
     ``.csv``: a header with ``time``, joint names, and ``<joint>_velocity`` for all of them or none, in any order; one
@@ -36,9 +36,7 @@ def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
     Parameters
     ----------
     file : str or pathlib.Path
-        File.
-    joints : sequence of str
-        Known joints.
+        File; whether its joints exist is not checked.
 
     Raises
     ------
@@ -51,7 +49,7 @@ def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
     if reader is None:
         raise TrajectoryError(f"{path}: unknown format; use a file whose name ends with .csv or .json")
     try:
-        return reader(read_text(path, _BYTES_MAX), joints)
+        return reader(read_text(path, _BYTES_MAX))
     except OSError as error:
         raise TrajectoryError(f"{path}: cannot be read ({error.strerror}); check name and permissions") from None
     except TextFileError as error:
@@ -60,14 +58,14 @@ def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
         raise TrajectoryError(f"{path}: {error}", error.code) from None
 
 
-def _from_csv(text: str, known: Sequence[str]) -> Waypoints:
+def _from_csv(text: str) -> Waypoints:
     reader = csv.reader(text.splitlines(), skipinitialspace=True)
     lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row and any(map(str.strip, row))]
     lines = [(number, row) for number, row in lines if not row[0].startswith("#")]
     if not lines:
         raise TrajectoryError("line 1: the file is empty; begin with a header such as time,axis1,axis2")
     number, header = lines[0]
-    joints = _joints_of(number, header, known)
+    joints = _joints_of(number, header)
     check_count(len(lines) - 1)
     times: list[float] = []
     rows: list[dict[str, float]] = []
@@ -89,18 +87,18 @@ def _from_csv(text: str, known: Sequence[str]) -> Waypoints:
     return Waypoints.of(joints, times, positions, velocities)
 
 
-def _joints_of(number: int, header: Sequence[str], known: Sequence[str]) -> list[str]:
-    """Joints of the header."""
-    allowed = ["time", *known, *(joint + _VELOCITY for joint in known)]
+def _joints_of(number: int, header: Sequence[str]) -> list[str]:
+    """Joints of the header: its columns but the time and the velocities of others."""
     for name in header:
-        if name not in allowed:
-            raise TrajectoryError(f"line {number}: column {name!r} is unknown; columns are {', '.join(allowed)}")
+        if not name:
+            raise TrajectoryError(f"line {number}: a column has no name; begin with time and names of joints")
         if header.count(name) > 1:
             raise TrajectoryError(f"line {number}: column {name} occurs twice; remove one")
-    joints = [name for name in header if name in known]
+    velocities = {joint + _VELOCITY for joint in header}
+    joints = [name for name in header if name != "time" and name not in velocities]
     if "time" not in header or not joints:
-        raise TrajectoryError(f"line {number}: no column time, or no joint; begin with time,{','.join(known)}")
-    moving = {name.removesuffix(_VELOCITY) for name in header if name not in ("time", *joints)}
+        raise TrajectoryError(f"line {number}: no column time, or no joint; begin with time and names of joints")
+    moving = {joint for joint in joints if joint + _VELOCITY in header}
     if moving and moving != set(joints):
         odd = sorted(moving ^ set(joints))[0]
         raise TrajectoryError(
@@ -119,7 +117,7 @@ def _number(line: int, name: str, cell: str) -> float:
     return value
 
 
-def _from_json(text: str, known: Sequence[str]) -> Waypoints:
+def _from_json(text: str) -> Waypoints:
     content = parse_json(text)
     if not isinstance(content, dict) or not all(
         isinstance(content.get(key), list) for key in ("joint_names", "points")
@@ -127,10 +125,8 @@ def _from_json(text: str, known: Sequence[str]) -> Waypoints:
         raise TrajectoryError("joint_names or points is missing or not a list; write an object with both")
     joints = content["joint_names"]
     for joint in joints:
-        if joint not in known:
-            raise TrajectoryError(
-                f"joint {_shown(joint)} in joint_names does not exist; the joints are {', '.join(known)}"
-            )
+        if not isinstance(joint, str):
+            raise TrajectoryError(f"{_shown(joint)} in joint_names is no name; write the name of a joint")
     points: list[Any] = content["points"]
     check_count(len(points))
     for k, point in enumerate(points):
