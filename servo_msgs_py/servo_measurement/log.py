@@ -7,21 +7,24 @@ variable. A missing sample is NaN.
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.text_file import TextFileError, read_bytes
 from servo_msgs_py.trace import Trace
+from servo_msgs_py.value_text import parse_element
 
 from servo_measurement.access import BoardAccess, Capture, MeasurementError
+from servo_measurement.motor_values import Limits
 
 FORMAT: Final = 1
 
@@ -115,13 +118,54 @@ class MeasurementLog:
                     columns = {name: table[:, column] for column, name in enumerate(head["names"])}
                     recordings.append(Trace(float(head["step"]), columns))
                 calls, notes = [_of_json(call) for call in text["calls"]], dict(text["notes"])
-                return cls(int(text["axis"]), calls, recordings, notes)
+                log = cls(int(text["axis"]), calls, recordings, notes)
+                _check(log)
+                return log
         except TextFileError as error:
             raise MeasurementError(f"{path}: {error}") from None
         except _MALFORMED:
             raise MeasurementError(
                 f"{path} is not a complete measurement of identify: use its measurement.npz, or measure again"
             ) from None
+
+
+def _check(log: MeasurementLog) -> None:
+    """Raise one of `_MALFORMED` unless all that evaluations and repetitions read is there, with its type."""
+    _require(log.axis in range(AXES))
+    log.notes["limits"] = asdict(Limits(**log.notes["limits"]))
+    for name in ("seconds", "boot"):
+        _require(0.0 <= log.notes.get(name, 0.0) < math.inf)
+    bias = log.notes.get("bias", {"l_d": 0.0, "l_d_low": 0.0})
+    _require(math.isfinite(bias["l_d"]) and math.isfinite(bias["l_d_low"]))
+    for call in log.calls:
+        _check_call(call)
+    asked = [set(call.arguments[0]) for call in log.calls if call.kind == "record"]
+    _require(asked == [set(recording.columns) for recording in log.recordings])
+    _require(all(any(name.startswith(axis_name(log.axis)) for name in names) for names in asked))
+
+
+def _check_call(call: Call) -> None:
+    _require(all(isinstance(text, str) for text in (call.label, call.stage)))
+    catalogue = Catalogue.load()
+    if call.kind == "wait":
+        (seconds,) = call.arguments
+        _require(0.0 <= seconds < math.inf)
+    elif call.kind == "write":
+        name, words, first = call.arguments
+        catalogue[name].encode_part(words, first)
+    else:
+        names, samples, every, slow, trigger = call.arguments
+        _require(call.kind == "record" and isinstance(slow, bool) and isinstance(trigger, str | None))
+        _require(samples > 0 and every > 0)
+        for name in names:
+            catalogue[parse_element(name)[0]]
+    for one in call.inner:
+        _check_call(one)
+
+
+def _require(holds: bool) -> None:
+    if not holds:
+        raise ValueError("not as `MeasurementLog.save` writes it")
 
 
 def _seconds(call: Call) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -133,17 +134,17 @@ def test_log_is_restored_from_its_file(tmp_path: Path) -> None:
     calls = [
         Call("write", ("cmd.i_q", [100], 1)),
         Call("wait", (0.5,), stage="turn"),
-        Call("record", (["a", "b"], 3, 2, True, None), inner, "speed"),
+        Call("record", (["axis2.i_d", "axis2.u_d"], 3, 2, True, None), inner, "speed"),
     ]
-    columns = {"a": np.array([1.0, np.nan, 3.0]), "b": np.zeros(3)}
-    log = MeasurementLog(1, calls, [Trace(1e-3, columns)], {"limits": {"current": 4.0}})
+    columns = {"axis2.i_d": np.array([1.0, np.nan, 3.0]), "axis2.u_d": np.zeros(3)}
+    log = MeasurementLog(1, calls, [Trace(1e-3, columns)], {"limits": asdict(Limits(24.0, 4.0))})
     log.save(tmp_path / "log.npz")
     found = MeasurementLog.load(tmp_path / "log.npz")
     assert [one.kind for one in found.calls] == ["write", "wait", "record"]
     assert found.calls[2].inner[0].arguments[0] == "cmd.speed"
     assert (found.axis, found.notes, found.labels) == (1, log.notes, ["speed"])
     assert found.seconds == pytest.approx(0.5 + 3 * 2 * 0.5e-3)
-    np.testing.assert_array_equal(found.labelled("speed")[0]["a"], columns["a"])
+    np.testing.assert_array_equal(found.labelled("speed")[0]["axis2.i_d"], columns["axis2.i_d"])
 
 
 def test_other_files_are_refused_as_log(tmp_path: Path) -> None:

@@ -130,6 +130,9 @@ def test_what_cannot_be_compared_is_refused(
     (tmp_path / "text.csv").write_text("a,b\n1,2\n")
     assert main(["compare", first, str(tmp_path / "text.csv")]) == 2
     assert "has no column time in its first line" in capsys.readouterr().err
+    assert main(["compare", first, str(tmp_path / "run.txt")]) == 2
+    error = capsys.readouterr().err
+    assert all(kind in error for kind in (".mcap or .db3 file", "folder of a bag", ".rrd file", ".csv file"))
     table = tmp_path / "endless.csv"
     table.write_text("time,axis1.speed\n0,1\n")
     os.truncate(table, 10**12)  # a line without end

@@ -6,8 +6,9 @@ import contextlib
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -438,6 +439,36 @@ def test_truncated_or_foreign_recording_is_reported(
     messages = capsys.readouterr().err
     assert "is not a complete measurement" in messages
     assert "pickle" not in messages
+
+
+def places(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Container and key of every field; of lists those of the first and the last element."""
+    keys = list(value) if isinstance(value, dict) else {0, len(value) - 1} if isinstance(value, list) and value else ()
+    for key in keys:
+        yield value, key
+        yield from places(value[key])
+
+
+def test_recording_with_any_field_missing_or_wrong_is_reported(folder: Path, tmp_path: Path) -> None:
+    with np.load(folder / "measurement.npz") as archive:
+        arrays = dict(archive)
+    text = json.loads(str(arrays.pop("log")))
+    path, plant, refused = tmp_path / "m.npz", PlantConfig.load(), 0
+    for container, key in places(text):
+        kept = container[key]
+        for wrong in (..., None, -1):
+            container[key] = wrong
+            if wrong is ...:
+                del container[key]
+            np.savez(path, log=np.array(json.dumps(text)), **arrays)
+            try:
+                identified(MeasurementLog.load(path), plant, refined=False)
+            except MeasurementError:
+                refused += 1
+            if wrong is ... and isinstance(container, list):
+                container.insert(key, kept)
+            container[key] = kept
+    assert refused > 80
 
 
 def test_random_motors_are_the_same_for_a_seed() -> None:

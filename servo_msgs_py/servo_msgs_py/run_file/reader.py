@@ -36,7 +36,7 @@ from servo_msgs_py.text_file import read_text
 from servo_msgs_py.topics import RUN_LOST
 
 _METADATA: Final = "metadata.yaml"
-_SUFFIXES: Final = (".mcap", ".db3")
+RUN_SUFFIXES: Final = (".mcap", ".db3")
 _REMEDY: Final = "give a .mcap or .db3 file, or the folder of a bag"
 
 _DAMAGE: Final = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError)
@@ -123,7 +123,7 @@ class RunReader:
         """The files of a recording by the path of the first one."""
         if path.suffix == ".bag":
             raise RunFileError(f"{path} is a bag of ROS 1; convert it with rosbags-convert")
-        if path.suffix not in _SUFFIXES:
+        if path.suffix not in RUN_SUFFIXES:
             raise RunFileError(f"{path} is no recording; {_REMEDY}")
         files = [file for file in segments(path) if path.suffix == ".mcap" or file == path]
         if not files:
@@ -142,7 +142,7 @@ class RunReader:
         files = [file for file in listed if file.exists()]
         if files:
             return files
-        found = [file for suffix in _SUFFIXES for file in folder.glob(f"*{suffix}")]
+        found = [file for suffix in RUN_SUFFIXES for file in folder.glob(f"*{suffix}")]
         names = sorted({split(file)[0] + file.suffix for file in found})
         if not names:
             raise RunFileError(f"{folder} contains no recording; {_REMEDY}")

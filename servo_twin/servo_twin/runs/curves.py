@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.run_file.definitions import decoded
-from servo_msgs_py.run_file.reader import Record, RunReader
+from servo_msgs_py.run_file.reader import RUN_SUFFIXES, Record, RunReader
 from servo_msgs_py.text_file import decoded as text_of
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
@@ -64,7 +64,14 @@ def curves_of(path: Path, namespace: str = "") -> Curves:
     """
     if path.suffix == ".csv":
         return _CsvFile(path)
-    return _RrdFile(path) if path.suffix == ".rrd" else _Snapshots(path, namespace)
+    if path.suffix == ".rrd":
+        return _RrdFile(path)
+    if not path.is_dir() and path.suffix not in (*RUN_SUFFIXES, ".bag"):
+        raise RunError(
+            f"{path} is no recording of curves; give a {' or '.join(RUN_SUFFIXES)} file, the folder of a bag, an .rrd "
+            "file of the viewer, or a .csv file of servo-tool record"
+        )
+    return _Snapshots(path, namespace)
 
 
 @dataclass(frozen=True)
