@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Sequence
 from typing import Any, Final
 
 import pytest
-from hypothesis import Phase, given, settings
+from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
-from servo_tuning.errors import RAISE, ConfigError, Remedy, lower, problem
+from servo_tuning.assessment import assess
+from servo_tuning.errors import RAISE, ConfigError, Problem, Remedy, Table, lower, problem
+from servo_tuning.findings import findings
 from servo_tuning.reading import parse
 from servo_tuning.remedies import applied, explained, refusal_of, tried, value_in, with_value
+from servo_tuning.tuned import tuned
 from tuning_tool import CATALOGUE, entries, table
 
 STEPS_MAX: Final = 12
@@ -21,13 +25,13 @@ ENTRIES: Final = {name: entry for name, entry in entries() if value_in(table(), 
 
 
 @st.composite
-def changed(draw: st.DrawFn) -> dict[str, Any]:
-    """The committed configuration with up to three entries wrong by a factor."""
+def changed(draw: st.DrawFn, names: Sequence[str] = sorted(ENTRIES), spread: float = 6.0) -> dict[str, Any]:
+    """The committed configuration with up to three entries wrong by a factor, of this logarithm at most."""
     whole = table()
-    for name in draw(st.lists(st.sampled_from(sorted(ENTRIES)), min_size=1, max_size=3, unique=True)):
+    for name in draw(st.lists(st.sampled_from(names), min_size=1, max_size=3, unique=True)):
         entry, value = ENTRIES[name], value_in(whole, name)
         assert isinstance(value, (int, float))
-        new = value * math.exp(draw(st.floats(-6.0, 6.0)))
+        new = value * math.exp(draw(st.floats(-spread, spread)))
         new = max(round(new), 1) if entry.whole else new
         whole = with_value(whole, name, min(new, entry.maximum))
     return whole
@@ -51,6 +55,40 @@ def test_remedies_lead_to_an_accepted_configuration(whole: dict[str, Any], choic
         again = refusal_of(whole)
         assert again is None or again.entry != error.entry, (path, str(again))
         error = again
+
+
+def warnings_of(whole: Table) -> list[Problem]:
+    configuration = parse(whole, CATALOGUE)
+    designs = [tuned(axis, configuration) for axis in configuration.axes]
+    return [warning for design in designs for warning in findings(design, assess(design))]
+
+
+WARNED: Final = [
+    f"axis1.{path}"
+    for path in (
+        *("motor.psi_m", "motor.inertia", "motor.l_q", "rotor_search.turn_time", "observer.pll_size"),
+        *("start_up.minimum_speed", "limits.speed", "limits.over_speed", "control.current_bandwidth"),
+    )
+]
+"""Entries of which warnings with a value depend."""
+
+
+@settings(max_examples=20, derandomize=True, deadline=None, phases=[Phase.explicit, Phase.generate])
+@example(table(), 0.003)
+@given(changed(WARNED, 1.5), st.sampled_from([0.0, 0.003, 0.006]))
+def test_the_value_of_a_warning_removes_it_and_is_accepted(whole: dict[str, Any], flux: float) -> None:
+    """Half of the axes are sensorless; a low flux requires a faster start-up."""
+    if flux:
+        whole = with_value(whole, "axis1.motor.psi_m", flux)
+        whole["axis1"] |= {"feedback": "observer"}
+    assume(refusal_of(whole) is None)
+    for warning in warnings_of(whole):
+        for remedy in warning.remedies:
+            if remedy.value is not None:
+                after = applied(whole, remedy)
+                assert refusal_of(after) is None, (str(warning), str(refusal_of(after)))
+                kept = [one for one in warnings_of(after) if one.entry == warning.entry]
+                assert kept == [], (str(warning), list(map(str, kept)))
 
 
 def test_a_refusal_keeps_its_values_in_another_process() -> None:

@@ -144,10 +144,14 @@ class Axis:
 
     def named(self, remedy: Remedy | str) -> Remedy | str:
         """A remedy whose entry is a path of this axis or one of ``board.``, with the full name of the entry."""
-        if isinstance(remedy, str) or remedy.entry.startswith("board."):
-            return remedy
+        return remedy if isinstance(remedy, str) else self._named(remedy)
+
+    def _named(self, remedy: Remedy) -> Remedy:
+        also = None if remedy.also is None else self._named(remedy.also)
+        if remedy.entry.startswith("board."):
+            return replace(remedy, also=also)
         group, key = remedy.entry.split(".")
-        return replace(remedy, entry=f"{self.name}.{remedy.entry}", whole=AXIS_GROUPS[group][key].whole)
+        return replace(remedy, entry=f"{self.name}.{remedy.entry}", whole=AXIS_GROUPS[group][key].whole, also=also)
 
     @property
     def motor(self) -> Motor:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 from servo_tuning.assessment import Assessment
-from servo_tuning.errors import Problem, exactly, higher, lower
+from servo_tuning.configuration import Axis
+from servo_tuning.errors import Problem, Remedy, exactly, higher, lower
 from servo_tuning.field_weakening import field_weakening_loops
 from servo_tuning.gains import current_bandwidth_min
 from servo_tuning.optional import PARTS
@@ -236,8 +238,17 @@ def _back_emf(design: Tuned, found: SensorlessFigures) -> Iterator[Problem]:
         path = "observer.pll_size"
         yield axis.problem(path, reason, exactly(path, _short(PLL_SIZE_RECOMMENDED / part)))
     if found.unexplained_speed > SPEED_ERROR_MAX * design.sensorless.start_up.minimum_speed:
-        path = "start_up.minimum_speed"
-        yield axis.problem(path, f"{reason}, sensorless", exactly(path, _short(part / SPEED_ERROR_RECOMMENDED)))
+        yield axis.problem("start_up.minimum_speed", f"{reason}, sensorless", _minimum_speed(axis, part))
+
+
+def _minimum_speed(axis: Axis, part: float) -> Remedy | str:
+    """Remedy of a relative speed error; the ramp of the start-up ends above the minimum speed."""
+    slowest = _short(part / SPEED_ERROR_RECOMMENDED)
+    remedy = exactly("start_up.minimum_speed", slowest)
+    if slowest < axis("start_up.mean_min") * axis("start_up.speed_final"):
+        return remedy
+    final = _short(1.1 * slowest / axis("start_up.mean_min"))
+    return replace(remedy, also=exactly("start_up.speed_final", final)) if final < 1.0 else "use the encoder"
 
 
 def _observed_speed(design: Tuned, figures: Assessment) -> Iterator[Problem]:
