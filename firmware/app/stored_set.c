@@ -1,7 +1,5 @@
 #include "app/stored_set.h"
 
-#include <string.h>
-
 #include "app/variables.h"
 #include "config/axis_members.h"
 #include "math/crc32.h"
@@ -11,8 +9,8 @@ typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
 /* Words of the head of a set. */
 enum { WORD_FORMAT, WORD_LENGTH, WORD_SEQUENCE, WORD_LAYOUT };
 
-/* Format 1 had two layouts and the same numbers. A set of its last firmware is that of this layout in the present
- * format. */
+/* Format 1 had two layouts and the same numbers. A set of its last firmware is that of FORMAT_1_LAYOUT in the present
+ * format. Once the layout differs from it, such a set is one of another firmware, and this reader can be removed. */
 #define FORMAT_1 UINT32_C(0x31535653)
 #define FORMAT_1_PARAMETERS UINT32_C(0xC4DA1EDC)
 #define FORMAT_1_MEMBERS UINT32_C(0x23554EBA)
