@@ -317,7 +317,7 @@ class Admission:
                 place,
                 "contradiction",
                 f"the position is constant at {point.position:g} rad, but the velocity is {point.velocity:g} rad/s; "
-                "which one is commanded is not known: send NaN for the other one, or change the one",
+                "which one is commanded is not known: send a velocity of 0 first",
             )
         if train.drive is _Drive.POSITION:
             follows = place.holder == Source(self._topic, "position")

@@ -267,6 +267,10 @@ def test_a_contradiction_without_a_change_ends_the_stream_and_is_named(rate: flo
     assert joint.stopped == 1
     assert len(joint.executed) == 3, "not yet in effect: shorter than the delay of a stream"
     assert "constant at 0.01 rad, but the velocity is 5 rad/s" in joint.refused[-1]
+    assert joint.refused[-1].endswith("send a velocity of 0 first")
+    for velocity in (0.0, -5.0):
+        joint.train(held(0.01, 20, velocity), rate)
+        assert joint.executed[-1].velocity == velocity
 
 
 @RATES
