@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import re
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeGuard
 
 import pytest
 from hypothesis import example, given
@@ -70,6 +72,9 @@ OWN_FILES = {
 }
 """Modules that read files of the project, the build or their own work."""
 
+OPENED = re.compile(r"\bopen\(")
+WRITTEN = re.compile(r"'[wxa]b?'|O_WRONLY|os\.open")
+
 BAD = {
     "utf-16": ("utf-16", "UTF-16 .*save it as UTF-8"),
     "utf-16 without mark": ("utf-16-le", "UTF-16 .*save it as UTF-8"),
@@ -128,12 +133,43 @@ def test_every_read_of_a_file_has_a_bound(folder: str) -> None:
 
 
 def unbounded_reads(text: str) -> list[str]:
-    """Calls that read a whole file or a line of any length, with their line numbers."""
-    return [
-        f"{node.lineno}: {ast.unparse(node)}"
-        for node in ast.walk(ast.parse(text))
+    """Expressions that read a whole file or a line of any length, with their line numbers."""
+    tree = ast.parse(text)
+    calls = [
+        node
+        for node in ast.walk(tree)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _is_unbounded(node, node.func)
     ]
+    found = {node.lineno: ast.unparse(node) for node in [*calls, *_used_files(tree)]}
+    return [f"{line}: {expression}" for line, expression in sorted(found.items())]
+
+
+def _used_files(tree: ast.Module) -> Iterator[ast.expr]:
+    """Uses of open files other than methods with arguments: iterations, ``read()``, arguments of other readers."""
+    for block in ast.walk(tree):
+        if not isinstance(block, ast.With):
+            continue
+        for item in block.items:
+            file, opened = item.optional_vars, ast.unparse(item.context_expr)
+            if not isinstance(file, ast.Name) or not OPENED.search(opened) or WRITTEN.search(opened):
+                continue
+            bounded = {
+                id(node.func.value)
+                for node in ast.walk(block)
+                if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and (node.args or node.keywords)
+            }
+            for node in ast.walk(block):
+                if _has_bound(node):
+                    bounded |= {id(argument) for argument in node.args}
+                elif isinstance(node, ast.Call) and len(node.args) > 1:  # partial(file.readline, BYTES)
+                    bounded |= {id(method.value) for method in node.args if isinstance(method, ast.Attribute)}
+            for node in ast.walk(ast.Module(block.body, [])):
+                if isinstance(node, ast.Name) and node.id == file.id and id(node) not in bounded:
+                    yield node
+
+
+def _has_bound(node: ast.AST) -> TypeGuard[ast.Call]:
+    return isinstance(node, ast.Call) and any("max" in ast.unparse(keyword.value).lower() for keyword in node.keywords)
 
 
 def _is_unbounded(call: ast.Call, function: ast.Attribute) -> bool:
@@ -148,6 +184,11 @@ def _is_unbounded(call: ast.Call, function: ast.Attribute) -> bool:
 def test_unbounded_reads_are_found() -> None:
     text = "p.read_text()\nnp.load(p)\nf.readline()\nf.readline(9)\nread_text(p)\nyaml.safe_load(read_text(p))\n"
     assert [read.split(":")[0] for read in unbounded_reads(text)] == ["1", "2", "3"]
+    uses = ("f.read()", "for line in f: pass", "list(f)", "csv.reader(f)", "[x for x in f]")
+    assert all(unbounded_reads(f"with p.open('rb') as f:\n    {use}") for use in uses)
+    for use in ("f.read(9)", "partial(f.readline, 9)", "f.seek(0)", "Reader(f, limit=_BYTES_MAX)"):
+        assert not unbounded_reads(f"with open(p) as f:\n    {use}")
+    assert not unbounded_reads("with p.open('w') as f:\n    csv.writer(f)")
 
 
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\r\0")), st.sampled_from(["\n", "\r\n", "\r"]))

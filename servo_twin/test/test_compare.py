@@ -128,6 +128,9 @@ def test_what_cannot_be_compared_is_refused(
     assert main(["compare", first, other, "--at", "axis1.nothing"]) == 2
     assert main(["compare", first, other, "-o", "picture.jpg"]) == 2
     (tmp_path / "text.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "columns.csv").write_text("time,axis1.speed\n1,2,3\n")
+    assert main(["compare", first, str(tmp_path / "columns.csv")]) == 2
+    assert "has 3 values for 2 columns; give a file" in capsys.readouterr().err
     assert main(["compare", first, str(tmp_path / "text.csv")]) == 2
     assert "has no column time in its first line" in capsys.readouterr().err
     assert main(["compare", first, str(tmp_path / "run.txt")]) == 2

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.run_file.definitions import decoded
 from servo_msgs_py.run_file.reader import RUN_SUFFIXES, Record, RunReader
+from servo_msgs_py.text_file import TextFileError
 from servo_msgs_py.text_file import decoded as text_of
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
@@ -39,6 +40,7 @@ ROS_TIME: Final = "ros_time"
 
 _FLOAT64: Final = "std_msgs/msg/Float64MultiArray"
 _CDR_LITTLE: Final = b"\x00\x01"
+_CSV_REMEDY: Final = "give a file of servo-tool record"
 _LINE_BYTES: Final = 1 << 16  # of the longest line of a CSV file
 _Array = NDArray[np.float64]
 
@@ -180,9 +182,12 @@ class _CsvFile:
 
     def blocks(self, names: Sequence[str] | None = None) -> Iterator[Trace]:
         with self.path.open("rb") as file:
-            heads = [head.partition(" [")[0] for head in text_of(file.readline(_LINE_BYTES)).strip().split(",")]
-            if TIME not in heads:
-                raise RunError(f"{self.path} has no column {TIME} in its first line; give a file of servo-tool record")
+            try:
+                heads = [head.partition(" [")[0] for head in text_of(file.readline(_LINE_BYTES)).strip().split(",")]
+            except TextFileError as error:
+                raise RunError(f"{self.path}: {error}") from None
+            if TIME not in heads or len(set(heads)) < len(heads):
+                raise RunError(f"{self.path} has no column {TIME} in its first line, or a name twice; {_CSV_REMEDY}")
             lines = iter(partial(file.readline, _LINE_BYTES), b"")
             while True:
                 with warnings.catch_warnings():
@@ -190,9 +195,11 @@ class _CsvFile:
                     try:
                         table = np.loadtxt(lines, delimiter=",", max_rows=BLOCK, ndmin=2)
                     except ValueError as error:
-                        raise RunError(f"{self.path}: {error}; give a file of servo-tool record") from None
+                        raise RunError(f"{self.path}: {error}; {_CSV_REMEDY}") from None
                 if not table.size:
                     return
+                if table.shape[1] != len(heads):
+                    raise RunError(f"{self.path} has {table.shape[1]} values for {len(heads)} columns; {_CSV_REMEDY}")
                 columns = dict(zip(heads, table.T, strict=True))
                 for stamp in (LOG_TIME, ROS_TIME):
                     columns.pop(stamp, None)
