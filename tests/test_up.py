@@ -269,6 +269,27 @@ def test_invalid_command_lines_are_refused(arguments: list[str], text: str, caps
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "text", "reason"),
+    [
+        ("--plant", None, "No such file"),
+        ("--plant", "[", "correct the TOML"),
+        ("--twin-plant", "[axis1]\nr_s = -1\n", "r_s"),
+        ("--thresholds", "x = 1\n", "thresholds.toml"),
+    ],
+)
+def test_files_are_checked_before_anything_is_started(
+    option: str, text: str | None, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "thresholds.toml"
+    if text is not None:
+        path.write_text(text)
+    assert main([option, str(path), "--out", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr()
+    assert reason in printed.out + printed.err
+    assert not (tmp_path / "out").exists()
+
+
 def test_parameters_and_plant_are_passed_and_ctrl_c_ends_all_processes(started: list[Up], tmp_path: Path) -> None:
     plant = tmp_path / "plants #1: new" / "plant.toml"
     plant.parent.mkdir()

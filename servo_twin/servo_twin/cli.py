@@ -194,14 +194,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0: success, 1: the run failed, 2: wrong usage or a file that cannot be opened; else `program`.
+        0: success, 1: the run failed, 2: wrong usage, a file that cannot be opened, or a wrong plant; else `program`.
     """
     args = parser().parse_args(argv)
     try:
         return int(args.run(args))
-    except (SimulationError, PlantError, ValueError) as error:
+    except (SimulationError, ValueError) as error:
         print(f"servo-sim: {error}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, PlantError) else 1
 
 
 if __name__ == "__main__":

@@ -29,8 +29,10 @@ from servo_msgs_py.runtime.program import Interrupted, deferred, program
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 from servo_msgs_py import argument, board_parameters
+from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, LEVEL_VARIABLE, Level, add_level_option, chosen_level
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
+from servo_twin.plant import PlantConfig
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 from servo_twin.robot.command import MODEL_HELP
 
@@ -322,6 +324,20 @@ def _environment(args: argparse.Namespace) -> dict[str, str]:
     return environment
 
 
+def _check_inputs(args: argparse.Namespace) -> None:
+    """Read the files of the children, before anything is started.
+
+    Raises
+    ------
+    ValueError, OSError
+        If one is wrong.
+    """
+    for plant in filter(None, (args.plant, args.twin_plant)):
+        PlantConfig.load(plant)
+    if args.thresholds:
+        Thresholds.load(args.thresholds)
+
+
 @program("servo-up")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run until Ctrl-C, or until the end of the demonstration.
@@ -335,6 +351,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(argv)
     if args.demo and args.port:
         parser().error("--demo moves the shafts: it is permitted with the virtual board only, not with --port")
+    try:
+        _check_inputs(args)
+    except ValueError as error:
+        _print(f"servo-up: {error}")
+        return 2
     environment = _environment(args)
     args.out.mkdir(parents=True, exist_ok=True)
     record = args.out / _RECORDING if args.demo else args.record

@@ -78,7 +78,7 @@ def test_an_invalid_plant_file_is_reported(
 ) -> None:
     plant = tmp_path / "plant.toml"
     plant.write_text(content)
-    assert main(["move", "--plant", str(plant)]) == 1
+    assert main(["move", "--plant", str(plant)]) == 2
     assert message in capsys.readouterr().err
 
 
