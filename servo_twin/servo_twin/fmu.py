@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 import re
 import subprocess
@@ -12,16 +13,17 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, NamedTuple
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.quantity import FINITE, Quantity
 
 from servo_twin._board_pointers import write_pointers
 from servo_twin._build_native import COMPILER, EXTRA, FIRMWARE, IDEAL, NATIVE, OPTIONS, board_files, build_identity
 from servo_twin.board import Board
 from servo_twin.board_memory import SimulationError
-from servo_twin.plant import PlantConfig
+from servo_twin.plant import AxisPlant, BusPlant, PinsPlant, PlantConfig, ranges
 
 MODEL: Final = "servo_board"
 STEP: Final = 62.5e-6  # [s]
@@ -38,6 +40,20 @@ _INPUTS: Final = (
     ("motor_unplugged", "", "1: the motor cable is disconnected"),
     ("encoder_unplugged", "", "1: the encoder is disconnected"),
 )
+_FAULTS: Final = (
+    *((f"fault.open_phase_{p}", "", f"1: phase {p} is open", "BOARD_OPEN_PHASE", k) for k, p in enumerate("abc")),
+    *(
+        (f"fault.glitches_{p}", "1/s", f"rate of pulses on encoder line {p}", "BOARD_ENCODER_GLITCHES", k)
+        for k, p in enumerate("ab")
+    ),
+    ("fault.current_noise", "A", "standard deviation of a current sample, 0: of the plant", "BOARD_CURRENT_NOISE", 0),
+    ("fault.heat", "deg C", "temperature at which the power stage is held, 0: free", "BOARD_HEAT", 0),
+    *(
+        (f"fault.cut_{p}", "", f"1: the wire of the pin {p} is cut", "BOARD_CUT_WIRE", f"BOARD_PIN_{p.upper()}")
+        for p in ("home", "limit_min", "limit_max", "enable", "brake")
+    ),
+)
+"""Inputs behind `_INPUTS`, each 0 without the fault: name, unit, description, kind and part of a ``board_fault_t``."""
 
 # Exponents of kg, m, s, A, K, rad; offset of deg C.
 _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
@@ -54,12 +70,16 @@ _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "J/K": {"kg": 1, "m": 2, "s": -2, "K": -1},
     "K/W": {"kg": -1, "m": -2, "s": 3, "K": 1},
     "1/K": {"K": -1},
+    "1/s": {"s": -1},
     "kg m^2": {"kg": 1, "m": 2},
     "N m": {"kg": 1, "m": 2, "s": -2},
     "N m s": {"kg": 1, "m": 2, "s": -1},
     "N m/rad": {"kg": 1, "m": 2, "s": -2, "rad": -1},
     "deg C": {"K": 1, "offset": 273.15},
 }
+
+
+_ANY: Final = Quantity(minimum=-math.inf, maximum=math.inf)
 
 
 @dataclass(frozen=True)
@@ -72,6 +92,7 @@ class _Variable:
     unit: str
     text: str  # description
     start: float | None = None  # of inputs and parameters
+    valid: Quantity = _ANY  # range of a parameter
 
 
 @dataclass(frozen=True)
@@ -128,6 +149,33 @@ def _members(structure: str) -> list[tuple[str, str, str]]:
     return rows
 
 
+class _Number(NamedTuple):
+    """A number of a structure of ``board.h``."""
+
+    name: str
+    unit: str
+    text: str
+    value: float
+    valid: Quantity
+
+
+def _parameters(structure: str, values: Mapping[str, Any], *parts: type) -> list[_Number]:
+    """Numbers of a structure, which contains these parts of the plant, in the order of the memory."""
+    valid = {name: one for part in parts for name, one in ranges(part).items()}
+    rows = zip(_members(structure), _numbers(values), strict=True)
+    return [_Number(*row, value, valid.get(row[0], _ANY)) for row, value in rows]
+
+
+def _ranges_text(name: str, parameters: Sequence[_Number]) -> str:
+    """Array of ``range_t`` for C."""
+
+    def row(one: _Number) -> str:
+        bounds = ", ".join(repr(bound).replace("inf", "INFINITY") for bound in (one.valid.minimum, one.valid.maximum))
+        return f'    {{"{one.name}", {bounds}, {int(one.valid.whole)}}},\n'
+
+    return f"static const range_t {name}[] = {{\n{''.join(map(row, parameters))}}};\n\n"
+
+
 def _listed(value: Any) -> list[float]:
     """A number, or several, of a structure of ``board.h``."""
     return list(map(float, value)) if isinstance(value, Sequence) else [float(value)]
@@ -148,8 +196,17 @@ def _c_members(values: Mapping[str, Any]) -> str:
     return ", ".join(f".{name} = {text(value)}" for name, value in values.items())
 
 
+def _axis_parameters(plant: PlantConfig, axis: int) -> list[_Number]:
+    return _parameters("plant_axis_t", plant.axes[axis].members(), AxisPlant, PinsPlant)
+
+
+def _bus_parameters(plant: PlantConfig) -> list[_Number]:
+    return _parameters("plant_bus_t", vars(plant.bus), BusPlant)
+
+
 def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], token: str) -> str:
     """Text of ``fmu_variables.h``."""
+    faults = ", ".join(f"{{{kind}, {part}}}" for *_, kind, part in _FAULTS)
     axes = ",\n        ".join(f"{{{_c_members(axis.members())}}}" for axis in plant.axes)
     return (
         f'#define INSTANTIATION_TOKEN "{token}"\n#define EXPORT_TOKEN UINT64_C(0x{token[:16]})\n\n'
@@ -157,6 +214,10 @@ def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], token: 
         "    double lsb;\n"
         "    bool is_signed, writable, initial;\n} firmware_value_t;\n\n"
         f"static const firmware_value_t firmware_values[] = {{\n{''.join(e.row() for e in elements)}}};\n\n"
+        "typedef struct {\n    const char *name;\n    double minimum, maximum;\n    bool whole;\n} range_t;\n\n"
+        f"{_ranges_text('axis_ranges', _axis_parameters(plant, 0))}{_ranges_text('bus_ranges', _bus_parameters(plant))}"
+        "typedef struct {\n    int kind, part;\n} axis_fault_t;\n\n"
+        f"static const axis_fault_t axis_faults[] = {{{faults}}};\n\n"
         f"static const board_config_t exported_config = {{\n    .axis = {{{axes}}},\n"
         f"    .bus = {{{_c_members(vars(plant.bus))}}},\n    .pwm_frequency = {plant.pwm_frequency!r},\n"
         f"    .ambient = {plant.ambient!r},\n    .baud = 115200.0,\n    .seed = UINT64_C({seed}),\n}};\n"
@@ -167,27 +228,31 @@ def _variables(plant: PlantConfig, elements: Sequence[_Element]) -> Iterator[_Va
     def reference(block: str, index: int, axis: int = 0) -> int:
         return (_BLOCKS[block] + axis) * _BLOCK + index
 
+    inputs = [*_INPUTS, *((name, unit, text) for name, unit, text, *_ in _FAULTS)]
     for axis in range(AXES):
-        starts = (-plant.axes[axis].load_torque, 0.0, 0.0, 0.0)
-        for k, ((name, unit, text), value) in enumerate(zip(_INPUTS, starts, strict=True)):
-            index = reference("input", axis * len(_INPUTS) + k)
-            yield _Variable(f"{axis_name(axis)}.{name}", index, "input", unit, text, value)
-    index = reference("input", AXES * len(_INPUTS))
+        for k, (name, unit, text) in enumerate(inputs):
+            start = -plant.axes[axis].load_torque if name == "torque" else 0.0
+            index = reference("input", axis * len(inputs) + k)
+            yield _Variable(f"{axis_name(axis)}.{name}", index, "input", unit, text, start)
+    index = reference("input", AXES * len(inputs))
     yield _Variable("supply.u_source", index, "input", "V", "open-circuit voltage of the supply", plant.bus.u_source)
     for k, e in enumerate(elements):
-        causality, start = ("input", 0.0) if e.writable else ("output", None)
-        yield _Variable(e.name, reference("firmware", k), causality, e.unit, e.text, start)
+        causality = "input" if e.writable else "output"
+        yield _Variable(e.name, reference("firmware", k), causality, e.unit, e.text, 0.0 if e.writable else None)
     for axis in range(AXES):
         for k, (name, unit, text) in enumerate(_members("board_truth_t")):
             index = reference("truth", k, axis)
             yield _Variable(f"truth.{axis_name(axis)}.{name}", index, "output", unit, text or name)
-        numbers = _numbers(plant.axes[axis].members())
-        for k, ((name, unit, text), value) in enumerate(zip(_members("plant_axis_t"), numbers, strict=True)):
+        for k, number in enumerate(_axis_parameters(plant, axis)):
             index = reference("plant", k, axis)
-            yield _Variable(f"plant.{axis_name(axis)}.{name}", index, "parameter", unit, text, value)
-    rows = zip(_members("plant_bus_t"), _numbers(vars(plant.bus)), strict=True)
-    for k, ((name, unit, text), value) in enumerate(rows):
-        yield _Variable(f"plant.bus.{name}", reference("bus", k), "parameter", unit, text, value)
+            yield _parameter(f"plant.{axis_name(axis)}", index, number)
+    for k, number in enumerate(_bus_parameters(plant)):
+        yield _parameter("plant.bus", reference("bus", k), number)
+
+
+def _parameter(part: str, reference: int, number: _Number) -> _Variable:
+    name = f"{part}.{number.name}"
+    return _Variable(name, reference, "parameter", number.unit, number.text, number.value, number.valid)
 
 
 def _description(variables: Sequence[_Variable], token: str) -> bytes:
@@ -221,6 +286,9 @@ def _description(variables: Sequence[_Variable], token: str) -> bytes:
         attributes["variability"] = "fixed" if v.causality == "parameter" else "discrete"
         if v.unit in _UNITS:
             attributes["unit"] = v.unit
+        for bound, value in (("min", v.valid.minimum), ("max", v.valid.maximum)):
+            if abs(value) < FINITE:
+                attributes[bound] = repr(value)
         if v.start is not None:
             attributes["start"] = repr(v.start).replace("inf", "INF")
         ET.SubElement(listed, "Float64", {**attributes, "description": v.text})

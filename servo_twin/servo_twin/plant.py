@@ -59,6 +59,11 @@ def _marks(part: type) -> Sequence[tuple[str, object]]:
     return [(name, mark) for name, hint in hints for mark in getattr(hint, "__metadata__", ())]
 
 
+def ranges(part: type) -> dict[str, Quantity]:
+    """Valid values of the numbers of a part of the plant, by name; numbers without a range are left out."""
+    return {name: mark for name, mark in _marks(part) if isinstance(mark, Quantity)}
+
+
 def _check(where: str, value: object, valid: Quantity) -> None:
     """Raise a `PlantError` unless `value` is valid."""
     if problem := valid.problem(value):
@@ -67,9 +72,8 @@ def _check(where: str, value: object, valid: Quantity) -> None:
 
 def _check_fields(part: Any) -> None:
     """Check all fields with a range."""
-    for name, mark in _marks(part.__class__):
-        if isinstance(mark, Quantity):
-            _check(name, getattr(part, name), mark)
+    for name, valid in ranges(part.__class__).items():
+        _check(name, getattr(part, name), valid)
 
 
 @dataclass(frozen=True)

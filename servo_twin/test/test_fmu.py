@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import struct
 import subprocess
@@ -12,6 +13,7 @@ from typing import Any, Final
 
 import pytest
 from servo_twin.board import Board
+from servo_twin.fault_injection import CurrentNoise, OpenPhase
 from servo_twin.fmu import export_fmu
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import keep_set_points
@@ -21,9 +23,11 @@ pytest.importorskip("fmpy", reason="what FMPy needs has no wheels for Python 3.1
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import ModelDescription, read_model_description
 from fmpy.validation import validate_fmu
+from fmuloader.fmi3 import Fmi3Slave
 
 SEED: Final = 3
 PERIOD_NS: Final = 62_500
+NOISE: Final = CurrentNoise(0, 0.1)
 PLANT: Final = PlantConfig.load().with_axis(0, theta_start=0.5, friction=3e-3)
 
 
@@ -108,6 +112,9 @@ def command(target: Any) -> list[tuple[int, Any]]:
             (10400, lambda: target.set("axis1.torque", -0.05)),
             (11200, lambda: target.set("supply.u_source", 20.0)),
             (12000, lambda: target.set("axis2.motor_unplugged", 1.0)),
+            (12400, lambda: target.set("axis1.fault.current_noise", 0.1)),
+            (12800, lambda: target.set("axis1.fault.current_noise", 0.0)),
+            (13000, lambda: target.set("axis1.fault.open_phase_b", 1.0)),
         ]
     return [
         (320, lambda: target.write("cmd.enable", [1, 1])),
@@ -115,6 +122,9 @@ def command(target: Any) -> list[tuple[int, Any]]:
         (10400, lambda: target.set_load(0, 0.05)),
         (11200, lambda: target.set_supply(20.0)),
         (12000, lambda: target.connect_motor(1, False)),
+        (12400, lambda: target.inject(NOISE)),
+        (12800, lambda: target.clear_fault(NOISE)),
+        (13000, lambda: target.inject(OpenPhase(0, "b"))),
     ]
 
 
@@ -154,9 +164,38 @@ def test_every_bit_is_that_of_the_native_board(fmu: Instance, description: Model
         assert board.read("axis1.position") != 0
 
 
+def test_another_importer_gets_the_same_bits(
+    fmu: Instance, exported: tuple[Path, Path], description: ModelDescription
+) -> None:
+    other = Fmi3Slave(exported[1], model_identifier=description.coSimulation.modelIdentifier)
+    other.instantiate_co_simulation("other", instantiation_token=description.guid)
+    fmu.start()
+    other.enter_initialization_mode()
+    other.exit_initialization_mode()
+    for name in ("axis1.cmd.enable", "axis2.cmd.enable", "axis1.torque"):
+        fmu.set(name, 1.0)
+        other.set_float64([fmu.references[name]], [1.0])
+    for _ in range(20):
+        other.do_step(fmu.time_ns * 1e-9, 160 * PERIOD_NS * 1e-9)
+        fmu.step(160)
+        assert packed(other.get_float64(fmu.outputs)) == fmu.everything()
+    other.free_instance()
+
+
 def test_parameters_are_the_plant(fmu: Instance) -> None:
     assert fmu.get("plant.axis1.friction") == 3e-3
     fmu.set("plant.axis2.theta_start", 1.25)
+    for name, value in (
+        ("axis1.r_s", 0.0),
+        ("axis2.pole_pairs", 1.5),
+        ("axis1.home_to", math.nan),
+        ("bus.r_source", -1.0),
+    ):
+        with pytest.raises(Exception, match="fmi3"):
+            fmu.set(f"plant.{name}", value)
+        if value == value:
+            assert f"{name.split('.')[-1]}: is outside of its range" in fmu.messages[-1]
+    fmu.set("plant.axis1.home_to", math.inf)
     fmu.start()
     assert fmu.get("truth.axis2.theta_m") == 1.25
 
@@ -195,6 +234,7 @@ def test_step_back_and_another_instance_continue_with_the_same_bits(
         (lambda fmu: fmu.slave.doStep(5e-3, 62.5e-6), "currentCommunicationPoint: is not the end of the last step"),
         (lambda fmu: fmu.set("axis1.torque", float("nan")), "not a number"),
         (lambda fmu: fmu.set("axis1.cmd.speed", 1e6), "axis1.cmd.speed: the firmware refuses"),
+        (lambda fmu: fmu.set("axis1.fault.heat", -1.0), "fault: is negative"),
         (lambda fmu: fmu.set("plant.axis1.r_s", 1.0), "no variable that can be set now"),
     ],
 )

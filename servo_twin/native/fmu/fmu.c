@@ -25,7 +25,16 @@ enum {
     REFERENCE_PLANT = 5,
     REFERENCE_BUS = 7
 };
-enum { TORQUE, LOCKED, MOTOR_OFF, ENCODER_OFF, AXIS_INPUTS, U_SOURCE = BOARD_AXES * AXIS_INPUTS, INPUTS };
+enum {
+    TORQUE,
+    LOCKED,
+    MOTOR_OFF,
+    ENCODER_OFF,
+    FIRST_FAULT, /* of axis_faults[]; each input is its value, 0: no fault */
+    AXIS_INPUTS = FIRST_FAULT + (int)(sizeof axis_faults / sizeof axis_faults[0]),
+    U_SOURCE = BOARD_AXES * AXIS_INPUTS,
+    INPUTS
+};
 
 #define FIRMWARE_VALUES (sizeof firmware_values / sizeof firmware_values[0])
 #define TRUTH_NUMBERS (sizeof(board_truth_t) / sizeof(double))
@@ -145,6 +154,15 @@ fmi3Status fmi3Reset(fmi3Instance instance)
 
 /* ---- inputs --------------------------------------------------------------------------------------------------------- */
 
+static void apply_fault(board_t *board, int axis, axis_fault_t fault, double value)
+{
+    const board_fault_t injected = {.kind = fault.kind, .axis = axis, .part = fault.part, .value = value};
+    board_clear_fault(board, &injected);
+    if (value != 0.0) {
+        board_inject_fault(board, &injected);
+    }
+}
+
 static void apply_input(instance_t *fmu, size_t index)
 {
     const double value = fmu->data.input[index];
@@ -154,6 +172,10 @@ static void apply_input(instance_t *fmu, size_t index)
     }
     if (index == U_SOURCE) {
         board_set_supply(fmu->board, value);
+        return;
+    }
+    if (index % AXIS_INPUTS >= FIRST_FAULT) {
+        apply_fault(fmu->board, axis, axis_faults[index % AXIS_INPUTS - FIRST_FAULT], value);
         return;
     }
     switch (index % AXIS_INPUTS) {
@@ -177,8 +199,8 @@ static fmi3Status set_input(instance_t *fmu, size_t index, double value)
     if (index >= INPUTS) {
         return report(fmu, fmi3Error, "no such input", "valueReference");
     }
-    if (index == U_SOURCE && value < 0.0) {
-        return report(fmu, fmi3Discard, "is negative", "bus.u_source");
+    if ((index == U_SOURCE || index % AXIS_INPUTS >= FIRST_FAULT) && value < 0.0) {
+        return report(fmu, fmi3Discard, "is negative", (index == U_SOURCE) ? "supply.u_source" : "fault");
     }
     const bool changed = fmu->data.input[index] != value;
     fmu->data.input[index] = value;
@@ -248,6 +270,11 @@ static fmi3Status set_value(instance_t *fmu, fmi3ValueReference reference, doubl
     double *place = (block >= REFERENCE_PLANT && block <= REFERENCE_BUS) ? parameter(&fmu->data, block, index) : NULL;
     if (place == NULL || fmu->board != NULL) {
         return report(fmu, fmi3Error, "no variable that can be set now", "valueReference");
+    }
+    const range_t *range = (block == REFERENCE_BUS) ? &bus_ranges[index] : &axis_ranges[index];
+    if (value < range->minimum || value > range->maximum || (range->whole && floor(value) != value)) {
+        return report(fmu, fmi3Discard, "is outside of its range; see min and max, or it is not a whole number",
+                      range->name);
     }
     *place = value;
     return fmi3OK;
