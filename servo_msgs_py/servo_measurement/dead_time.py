@@ -13,6 +13,10 @@ from servo_measurement.motor_values import Limits
 BAND_MAX: Final = 0.25
 """Largest range in which the voltage lost in a leg depends on its current, relative to the current limit. With 0.28 and
 more, errors of resistance and inductance were 5 % to several times the value."""
+BAND_LEFT: Final = 0.35
+"""Range, relative to the largest current, below which the phase currents leave it."""
+BAND_MARGIN: Final = 1.5
+"""Margin of a remedy over the range that was found with a smaller current."""
 
 
 def check_band(band: float, estimate: float, current: float, limits: Limits, maximum: float) -> None:
@@ -23,7 +27,7 @@ def check_band(band: float, estimate: float, current: float, limits: Limits, max
     band : float
         This range [A]; it is too small if the phase currents do not leave it.
     estimate : float
-        Another value of it, for the remedy: that of `band_of` [A].
+        Another value of it, for the remedy: that of `band_of` [A]; it is too large if they leave it.
     current : float
         Largest current of the test, reduced if the voltage is too low for `limits.current` [A].
     limits : Limits
@@ -38,7 +42,8 @@ def check_band(band: float, estimate: float, current: float, limits: Limits, max
     """
     if current >= band / BAND_MAX:
         return
-    needed = max(band, estimate) / BAND_MAX
+    left = band < BAND_LEFT * current
+    needed = (BAND_MARGIN * band if left else max(band, estimate)) / BAND_MAX
     text = f"phase currents up to {band:.2g} A vanish in the dead time of the switches"
     if current < limits.current:
         raise MeasurementError(f"{text}, and {current:.2g} A take the voltage: the board cannot measure this winding")
