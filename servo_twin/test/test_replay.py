@@ -33,12 +33,13 @@ def record(
     change: Callable[[SimulatedRun], None] | None = None,
     after: float = 0.0,
     plant: PlantConfig | None = None,
+    seed: int = SEED,
     **options: Any,
 ) -> int:
     """Record a run: enable, motion, a change, motion; returns the tick of the change."""
-    with SimulatedRun(path, Board(plant, seed=SEED, level="ideal"), seed=SEED, **options) as run:
+    with SimulatedRun(path, Board(plant, seed=seed, level="ideal"), seed=seed, **options) as run:
         run.enable()
-        motion = Motion(run, SEED)
+        motion = Motion(run, seed)
         list(motion.run(seconds))
         tick = run.real.tick
         if change is not None:
@@ -91,6 +92,22 @@ def test_the_first_sample_after_a_change_is_named_with_its_cause(
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith(f"from tick {result['first']['tick']}, ")
     assert "axis2 friction 2.1" in last
+
+
+def test_a_fault_does_not_hide_the_change_that_caused_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def magnetise(run: SimulatedRun) -> None:
+        run.board.set_plant("axis1.psi_m", 1.55 * run.board.plant.axes[0].psi_m)
+
+    record(tmp_path / "late.mcap", change=magnetise, after=8.0, seed=12)
+    result = replay(tmp_path / "late.mcap", capsys, status=1)
+    assert "axis1.faults" in {one["variable"] for one in result["departures"]}
+    (finding,) = result["findings"]
+    assert (finding["axis"], finding["changes"]) == ("axis1", ["flux"])
+    record(tmp_path / "early.mcap", change=magnetise, after=2.0, seed=8)  # 0.09 s after the change
+    result = replay(tmp_path / "early.mcap", capsys, status=1)
+    assert not result["findings"]
+    assert result["controller"] is None
+    assert "fault ANGLE_MISMATCH of axis1" in result["verdict"]
 
 
 def test_a_board_of_unknown_kind_is_compared_within_noise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

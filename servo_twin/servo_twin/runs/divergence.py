@@ -113,15 +113,22 @@ class Divergence:
             for name in differing:
                 size = pair.real[name] - pair.twin[name]
                 self._depart(pair, name, size, beyond=abs(size) > self._bands.get(name, 0.0))
-            self.monitor.update(pair)
+            self._diagnose(pair)
             return
         self._flush()
-        if self.monitor.update(pair):
+        if self._diagnose(pair):
             self._remember(pair.tick)
         beyond = self._beyond(pair)
         for name in {*beyond, *self.departures}:
             if name in pair.twin:
                 self._depart(pair, name, pair.real[name] - pair.twin[name], beyond=name in beyond)
+
+    def _diagnose(self, pair: Pair) -> bool:
+        """As `DiagnosisMonitor.update`, but a fault does not discard what was found before it: it is a consequence."""
+        if pair.fault and self.monitor.findings():
+            self.monitor.interrupt()
+            return False
+        return self.monitor.update(pair)
 
     def _beyond(self, pair: Pair) -> set[str]:
         """Variables beyond the noise; none before board and twin have agreed, except if they never do."""

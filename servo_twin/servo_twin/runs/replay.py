@@ -34,6 +34,7 @@ _BURSTS: Final = (topics.RECORDER, topics.RECORDING)
 REPLAYED: Final = {topic.name: topic for topic in BOARD_TOPICS if topic.name not in _BURSTS}
 SETTINGS: Final = TwinSettings(report_timeout=1.0, from_reset=600.0)  # no live display is delayed
 _GAP: Final = 0.1  # gap of the telemetry that is reported [s]
+_ESTIMATION: Final = 2.0  # time after a change within which the diagnosis may not have found it [s]
 _JUMP: Final = 1.0  # jump of the clock of the recording against the ticks of the board that is reported [s]
 
 
@@ -182,12 +183,24 @@ class Replayed:
     notes: list[str] = field(default_factory=list)  # what could not be replayed, and why
 
     @property
+    def first_axis(self) -> str:
+        """Axis with the most variables that differ in the first sample; the other one follows by the bus voltage."""
+        names = (one.variable.partition(".") for one in self.departures if one.tick == self.first)
+        axes = Counter(axis for axis, dot, _ in names if dot)
+        return axes.most_common(1)[0][0] if axes else ""
+
+    @property
+    def early_fault(self) -> Departure | None:
+        """Fault of the axis that differs first, so soon that the plant could not be estimated; None: there is none."""
+        name = f"{self.first_axis}.faults"
+        found = next((one for one in self.departures if one.variable == name), None)
+        soon = found is not None and self.first is not None and found.tick - self.first < _ESTIMATION * 1e9 / PERIOD_NS
+        return found if soon and not self.findings else None
+
+    @property
     def controller(self) -> str:
         """Axis that differs first, if the runs differ bit for bit and it is not the plant; empty: not known."""
-        if self.findings or not self.first_exact or not self.departures:
-            return ""
-        axis, dot, _ = self.departures[0].variable.partition(".")
-        return axis if dot else ""
+        return "" if self.findings or not self.first_exact or self.early_fault else self.first_axis
 
     @property
     def compared(self) -> int:

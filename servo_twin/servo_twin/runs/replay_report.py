@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import PERIOD_NS
 
@@ -50,6 +50,9 @@ def _size(value: float, of: Departure) -> str:
 
 
 def _cause(replayed: Replayed) -> str:
+    if (fault := replayed.early_fault) is not None:
+        names = ", ".join(flag.name for flag in Catalogue.load().active("faults", int(fault.value))) or "of the twin"
+        return f"fault {names} of {replayed.first_axis} at {at(fault.tick)}, too early to estimate the plant"
     if not replayed.findings:
         return f"no change of the plant explains it{_suspect(replayed)}"
     return "; ".join(
