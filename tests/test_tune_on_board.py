@@ -32,6 +32,7 @@ CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "s
 BAUD: Final = 1_000_000
 MOVE: Final = 8000  # counts: two turns
 U_Q: Final = 24.2 / 2**15  # V
+LINES: Final = 16384, 512  # of the encoders of the other motors
 MOTORS: Final[dict[str, dict[str, float]]] = {
     "axis1": {"r_s": 1.4, "l_d": 1.6e-3, "l_q": 1.9e-3, "psi_m": 0.0085, "pole_pairs": 4, "inertia": 4.5e-5},
     "axis2": {"r_s": 0.9, "l_d": 0.9e-3, "l_q": 1.1e-3, "psi_m": 0.0102, "pole_pairs": 3, "inertia": 2.0e-5},
@@ -136,7 +137,7 @@ def test_configuration_refused_by_the_tuning_code_is_not_sent(bench: ToolBench, 
 def test_another_motor_is_configured_without_a_compiler(tmp_path: Path) -> None:
     plant = PlantConfig.load()
     for axis, motor in enumerate(MOTORS.values()):
-        plant = plant.with_axis(axis, **motor)
+        plant = plant.with_axis(axis, **motor, encoder_lines=float(LINES[axis]))
     file = edited(
         tmp_path,
         "motors.toml",
@@ -144,8 +145,10 @@ def test_another_motor_is_configured_without_a_compiler(tmp_path: Path) -> None:
         axis2__motor=MOTORS["axis2"],
         control={"speed_bandwidth": 50.0, "position_gain": 45.0},
         axis2__control={"speed_bandwidth": 50.0},
-        limits={"speed": 250.0},
+        limits={"speed": 230.0},
     )
+    with file.open("a", encoding="utf-8") as text:
+        text.writelines(f"[axis{n}.encoder]\nlines = {lines}\n" for n, lines in enumerate(LINES, 1))
     with Board(plant=plant, level="ideal", baud=BAUD, seed=4) as board:
         board.run(0.1)
         bench = ToolBench(board)

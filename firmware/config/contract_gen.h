@@ -7,6 +7,8 @@
 
 #define CATALOGUE_HASH UINT32_C(0x956485C6)
 
+#define POSITION_PER_TURN 4000 /* position counts */
+
 #define PARAMETER_VALUES 29U
 
 typedef enum {

@@ -12,14 +12,13 @@
 #define TEST_TICKS 4U    /* longer than the settling time of the current controllers */
 #define WINDUP_TICKS 60U /* slow ticks of voltage with a constant direction */
 #define SHORT_TICKS 8U
-#define ABRUPT_COUNTS 8U  /* counts per slow tick: a slower shaft cannot drive a current that causes a trip */
 #define SETTLED_TICKS 8U  /* settling time of the probing current */
 #define PROBE_TICKS 80U   /* total: ends before the speed of the M/T method, without its enhancement, falls to zero */
 #define VOLTAGE_CHANGES_MAX 4U
 
-void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position)
+void encoder_monitor_start(encoder_monitor_t *monitor, int32_t count)
 {
-    *monitor = (encoder_monitor_t){.reference_position = position, .last_position = position};
+    *monitor = (encoder_monitor_t){.reference_count = count, .last_count = count};
 }
 
 /* ---- the count ---------------------------------------------------------------------------------------------------- */
@@ -50,24 +49,25 @@ static uint16_t size_of(int32_t moved)
     return (size > UINT16_MAX) ? UINT16_MAX : (uint16_t)size;
 }
 
-static void check_count(encoder_monitor_t *m, int32_t position, evidence_t *evidence)
+static void check_count(encoder_monitor_t *m, const observation_t *o, evidence_t *evidence)
 {
-    const int32_t away = i32_sub_wrap(position, m->reference_position);
-    const int32_t moved = i32_sub_wrap(position, m->last_position);
-    m->last_position = position;
+    const int32_t count = o->count;
+    const int32_t away = i32_sub_wrap(count, m->reference_count);
+    const int32_t moved = i32_sub_wrap(count, m->last_count);
+    m->last_count = count;
     if (away > REST_COUNTS || away < -REST_COUNTS) {
         const uint16_t earlier = m->step_counts;
         if (m->ticks_without_movement != 0U) { /* otherwise the monitor was restarted in the previous tick */
-            encoder_monitor_start(m, position);
+            encoder_monitor_start(m, count);
         }
-        m->reference_position = position;
+        m->reference_count = count;
         m->last_i_q_ref = 0;
         m->step_counts = size_of(moved);
         m->earlier_step_counts = earlier;
         return;
     }
     m->stopped_abruptly =
-        m->stopped_abruptly || m->step_counts >= ABRUPT_COUNTS || m->earlier_step_counts >= ABRUPT_COUNTS;
+        m->stopped_abruptly || m->step_counts >= o->abrupt_counts || m->earlier_step_counts >= o->abrupt_counts;
     m->step_counts = 0;
     m->earlier_step_counts = 0;
     if (m->ticks_without_movement < UINT16_MAX) {
@@ -299,7 +299,7 @@ static void check_shorted(encoder_monitor_t *m, const winding_config_t *config, 
 void encoder_monitor_step(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, observation_t *o,
                           evidence_t *evidence)
 {
-    check_count(m, o->position, evidence);
+    check_count(m, o, evidence);
     o->ticks_without_movement = m->ticks_without_movement;
     if (o->spins) {
         check_voltage(m, config, kp, o, evidence);

@@ -13,8 +13,8 @@
 #define ENCODER_CONFIRM_TICKS 20U
 
 typedef struct {
-    int32_t reference_position; /* counts; movement: the count leaves it by more than two */
-    int32_t last_position; /* counts, previous slow tick */
+    int32_t reference_count; /* movement: the count leaves it by more than two */
+    int32_t last_count; /* previous slow tick */
     uint16_t ticks_without_movement; /* slow ticks since the last movement */
 
     /* toggle test: a count that alternates by one */
@@ -53,8 +53,8 @@ typedef struct {
     uint8_t voltage_change_ticks; /* consecutive slow ticks with a changed voltage */
 } encoder_monitor_t;
 
-/* Initialise with the shaft at rest at `position` [counts]. */
-void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position);
+/* Initialise with the shaft at rest at this count. */
+void encoder_monitor_start(encoder_monitor_t *monitor, int32_t count);
 
 /* One slow tick of an axis with an encoder, in every state except FAULT; sets `observation->ticks_without_movement`.
  * `kp`: gain of the q current controller. */

@@ -46,7 +46,8 @@ typedef struct {
     uint16_t temperature; /* ADC code of the heat sink sensor */
     frac16_t u_dc; /* bus voltage of this period, Q1.15 of full-scale bus voltage */
     frac16_t theta_e; /* Q1.15 of pi, electrical */
-    int32_t position; /* counts */
+    int32_t count; /* encoder counts */
+    uint16_t abrupt_counts; /* encoder counts per slow tick: a slower shaft cannot drive a current that causes a trip */
     frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
 
     /* currents and voltages of the previous period, in the frame of `d_axis_angle` */

@@ -26,7 +26,7 @@ void stall_test_start(stall_test_t *test, const rotor_search_config_t *config, c
     const int32_t current = f16_abs(i_q);
     *test = (stall_test_t){.running = true, .positive_torque = i_q > 0, .vector_angle = observation->theta_e};
     test->inductive = sat16((int32_t)config->follow.inductive * current / config->current_limit);
-    turn_to_side(test, false, observation->position);
+    turn_to_side(test, false, observation->count);
 }
 
 /* The frame is rotated instead of the rotor, with the current along its q axis: the voltage across the vector is
@@ -112,7 +112,7 @@ static finding_set_t mirrored_step(stall_test_t *test, const rotor_search_config
 void stall_test_step(stall_test_t *test, const rotor_search_config_t *config, const observation_t *observation,
                      evidence_t *evidence)
 {
-    const int32_t position = observation->position;
+    const int32_t position = observation->count;
     evidence->confirmed |= test->mirrored ? mirrored_step(test, config, position) : turn_step(test, config, position);
     test->vector_angle = f16_add_wrap(observation->theta_e, test->phi);
 }

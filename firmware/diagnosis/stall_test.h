@@ -27,8 +27,8 @@ typedef struct {
     bool with_torque; /* the movement was in the direction of the commanded torque */
     bool positive_torque; /* sign of the commanded torque */
     frac16_t phi; /* angle of the vector relative to the q axis of the encoder, Q1.15 of pi */
-    int32_t origin; /* position at the start of the rotation or of the mirrored part, counts */
-    int32_t farthest; /* farthest position in the direction of the movement, counts */
+    int32_t origin; /* position at the start of the rotation or of the mirrored part, encoder counts */
+    int32_t farthest; /* farthest position in the direction of the movement, encoder counts */
     uint16_t ticks; /* slow ticks since the vector was mirrored */
     frac16_t inductive; /* omega L I at the present current, Q1.15 of full-scale voltage */
     frac16_t vector_angle; /* d axis of the current control, with the current on its q axis, Q1.15 of pi */

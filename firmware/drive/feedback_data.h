@@ -13,8 +13,10 @@ struct axis;
 typedef struct {
     frac16_t theta_e; /* fast loop: electrical angle at the sampling instant, Q1.15 of pi */
     frac32_t speed; /* slow loop: mechanical, Q1.31 of full-scale speed */
-    frac32_t mean_speed; /* slow loop: mean of the last slow tick; resolution of one count, the sum is the distance */
-    int32_t position; /* slow loop: multi-turn position, counts */
+    frac32_t mean_speed; /* slow loop: mean of the last slow tick from whole position counts; the sum is the distance */
+    int32_t position; /* slow loop: multi-turn position, nearest position count (POSITION_PER_TURN to a turn) */
+    int32_t part; /* slow loop: position minus that count, 24 fraction bits */
+    int32_t count; /* slow loop: encoder counts, for movements of a few counts; no relation to `position` */
     bool still; /* slow loop: no movement within the longest measuring interval of the source */
 } feedback_t;
 
@@ -30,7 +32,9 @@ typedef struct {
 /* State of the encoder source. The edge interrupt has the lowest priority and may be interrupted by the slow loop:
  * it only stores the captured edge, the slow loop evaluates it. */
 typedef struct {
-    encoder_t position;
+    encoder_t counter;
+    encoder_position_t position;
+    int16_t resolution; /* a count of the encoder in whole position counts, at least 1 */
     mt_speed_t speed;
     speed_observer_t observer;
     bool observes; /* the speed observer is running and provides the speed */
@@ -40,9 +44,9 @@ typedef struct {
     bool found; /* a rotor search was successful before: the position is counted from there (E41) */
 } encoder_feedback_t;
 
-/* Position of a sensorless axis, in equivalent encoder counts. */
+/* Position of a sensorless axis. */
 typedef struct {
-    int32_t counts; /* position, counts; continues from the position at the reset of the source */
+    int32_t counts; /* position counts; continues from the position at the reset of the source */
     uint16_t rest; /* fraction of a count, 16 fraction bits */
     uint32_t angle; /* electrical angle of the last slow tick, 2^32 is one turn */
 } observer_feedback_t;

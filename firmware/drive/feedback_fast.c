@@ -4,7 +4,8 @@
 
 void encoder_source_fast(axis_t *axis)
 {
-    axis->feedback.theta_e = encoder_theta_e(&axis->config->encoder, hal_encoder_count(axis->hal, axis->index));
+    axis->feedback.theta_e =
+        encoder_theta_e(&axis->encoder.counter, &axis->config->encoder, hal_encoder_count(axis->hal, axis->index));
 }
 
 void observer_source_fast(axis_t *axis) { axis->feedback.theta_e = pll_theta(&axis->estimate.pll); }

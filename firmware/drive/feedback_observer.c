@@ -7,6 +7,7 @@ static void observer_source_reset(axis_t *axis)
 {
     sensorless_estimate_stop(axis);
     axis->observed_position = (observer_feedback_t){.counts = axis->feedback.position};
+    axis->feedback.part = 0;
     axis->feedback.speed = 0;
     axis->feedback.mean_speed = 0;
     axis->feedback.still = true;
@@ -19,7 +20,7 @@ static void observer_source_edge(axis_t *axis)
     (void)hal_capture_take(axis->hal, axis->index, &capture);
 }
 
-/* Angle in equivalent encoder counts, 16 fraction bits. */
+/* Angle in position counts, 16 fraction bits. */
 static int32_t counts_of(const axis_t *axis, int32_t angle)
 {
     return (int32_t)asr64((int64_t)angle * axis->config->pll.counts_per_turn, 32);

@@ -157,7 +157,7 @@ static bool active(const axis_t *axis) { return (axis->inputs & INPUT_HOME) != 0
 static uint32_t distance_max(const axis_t *axis)
 {
     const home_config_t *config = &axis->config->home;
-    return approaches(axis->home.leg) ? (uint32_t)config->turns_max * axis->config->encoder.counts : config->back_off;
+    return approaches(axis->home.leg) ? (uint32_t)config->turns_max * POSITION_PER_TURN : config->back_off;
 }
 
 /* Timeout: twice the time that the distance takes at this speed. */
@@ -197,7 +197,8 @@ static bool stands(axis_t *axis)
     home_t *home = &axis->home;
     const frac32_t speed = leg_speed(axis);
     const int32_t off = i32_sub_wrap(axis->feedback.position, home->rest_position);
-    if (off > STAND_COUNTS || off < -STAND_COUNTS) {
+    const int32_t count = axis->encoder.resolution;
+    if (off > STAND_COUNTS * count || off < -STAND_COUNTS * count) {
         home->rest_position = axis->feedback.position;
         home->ticks = 0;
         motion_home(axis, speed);
@@ -205,7 +206,7 @@ static bool stands(axis_t *axis)
     }
     home->ticks++;
     const path_position_t missed = path_step_of(axis->config, f32_abs(speed)) * home->ticks;
-    if (home->ticks >= TOUCH_TICKS && missed >= path_counts(TOUCH_COUNTS)) {
+    if (home->ticks >= TOUCH_TICKS && missed >= path_counts(TOUCH_COUNTS * count)) {
         motion_press(axis, (speed < 0) ? f16_neg(axis->limits.i_q) : axis->limits.i_q);
     }
     return home->ticks >= STAND_TICKS && axis->motion.motion == MOTION_PRESS;

@@ -51,7 +51,7 @@ static void observe_currents(axis_t *axis, dq_t before)
     observation_t *o = &axis->observation;
     const current_loop_t *loop = &axis->current_loop;
     o->features = axis->parameter.features;
-    o->position = axis->feedback.position;
+    o->count = axis->feedback.count;
     o->current_ref = axis->current_ref;
     o->voltage = loop->voltage;
     if (axis->diagnosis.encoder.stopped_abruptly) { /* not needed without a probe */

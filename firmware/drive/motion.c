@@ -7,8 +7,8 @@
 #include "drive/speed_control.h"
 
 #define GAIN_TICKS 256 /* slow ticks: time constant of a change of the position gain */
-/* The axis counts as at rest within REST_COUNTS of its target, and until it is more than REST_LEFT off. Below the
- * resolution of the encoder the integral part of the speed controller would hunt against friction. */
+/* The axis counts as at rest within REST_COUNTS of its target, and until it is more than REST_LEFT off, in multiples of
+ * the resolution of the encoder. Below that the integral part of the speed controller would hunt against friction. */
 #define REST_COUNTS 1
 #define REST_LEFT 2
 
@@ -250,7 +250,7 @@ static bool rests(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const int32_t off = i32_sub_wrap(m->target, axis->feedback.position);
-    const int32_t max = m->resting ? REST_LEFT : REST_COUNTS;
+    const int32_t max = (m->resting ? REST_LEFT : REST_COUNTS) * axis->encoder.resolution;
     m->resting = off <= max && off >= -max && path_filter_at_rest(&m->path, m->target);
     if (!m->resting) {
         return false;
@@ -295,15 +295,20 @@ static void follow_model(axis_t *axis)
     m->model_position += path_step_of(axis->config, followed_speed(axis, behind));
 }
 
+/* Position error: set-point of the path minus position. */
+static path_position_t position_error(const axis_t *axis)
+{
+    return path_beyond(axis->motion.path.output, axis->feedback.position) - axis->feedback.part;
+}
+
 static frac32_t position_controller(axis_t *axis)
 {
-    const motion_state_t *m = &axis->motion;
     confine_target(axis);
     follow_path(axis);
     if (rests(axis)) {
         return 0;
     }
-    return followed_speed(axis, path_beyond(m->path.output, axis->feedback.position));
+    return followed_speed(axis, position_error(axis));
 }
 
 /* ---- trajectories ------------------------------------------------------------------------------------------------ */
@@ -362,7 +367,7 @@ static frac32_t trajectory_controller(axis_t *axis)
     const path_position_t before = m->path.output;
     m->path.output = t->reference.position;
     shape(m, path_speed_of(axis->config, m->path.output - before));
-    const frac32_t speed = followed_speed(axis, path_beyond(m->path.output, axis->feedback.position));
+    const frac32_t speed = followed_speed(axis, position_error(axis));
     if (t->reference.over) {
         t->active = false;
         if (t->end.speed == 0) {

@@ -16,6 +16,7 @@
 #include "drive/sensorless_startup.h"
 #include "drive/stop.h"
 #include "drive/test_mode.h"
+#include "math/divide.h"
 #include "sensing/rotor_hold.h"
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
@@ -67,14 +68,21 @@ static void to_ready(axis_t *axis)
     enter(axis, SUBSTATE_READY);
 }
 
+/* Acceleration at full-scale current, encoder counts per slow tick squared, 22 fraction bits. */
+static int32_t acceleration_per_current(const axis_config_t *config)
+{
+    const int64_t scaled = (int64_t)config->speed_observer.acceleration_per_current * encoder_lines(&config->encoder);
+    return sat32(i64_over_u16(scaled, POSITION_PER_TURN / 4));
+}
+
 static void ready_align(axis_t *axis)
 {
     choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search evaluates voltages */
     if (holding_brake_fitted(axis)) {
-        rotor_hold_start(&axis->search, &axis->config->rotor_search, axis->feedback.position,
-                         axis->config->speed_observer.acceleration_per_current);
+        rotor_hold_start(&axis->search, &axis->config->rotor_search, axis->feedback.count,
+                         acceleration_per_current(axis->config));
     } else {
-        rotor_search_start(&axis->search, axis->feedback.position);
+        rotor_search_start(&axis->search, axis->feedback.count);
     }
     axis->diagnosis.stall.running = false;
     enter(axis, SUBSTATE_ALIGN);
@@ -82,7 +90,7 @@ static void ready_align(axis_t *axis)
 
 static void to_spin(axis_t *axis)
 {
-    encoder_monitor_start(&axis->diagnosis.encoder, axis->feedback.position);
+    encoder_monitor_start(&axis->diagnosis.encoder, axis->feedback.count);
     angle_monitor_start(&axis->diagnosis.angle);
     axis->test_current = (dq_t){0, 0};
     homing_spin(axis);
@@ -115,7 +123,7 @@ static void observe_stall(axis_t *axis)
 {
     observation_t *o = &axis->observation;
     o->theta_e = axis->feedback.theta_e;
-    o->position = axis->feedback.position;
+    o->count = axis->feedback.count;
     o->current_ref = axis->current_ref;
 }
 
@@ -293,14 +301,14 @@ static void search_step(axis_t *axis)
 {
     rotor_search_t *search = &axis->search;
     if (search->phase != ROTOR_SEARCH_HOLD) {
-        rotor_search_step(search, &axis->config->rotor_search, axis->feedback.position);
+        rotor_search_step(search, &axis->config->rotor_search, axis->feedback.count);
         return;
     }
     if (axis->enable_requested && rotor_hold_opens_brake(search)) {
         holding_brake_request(axis, true);
         search->brake_released = holding_brake_is_open(axis);
     }
-    rotor_hold_step(search, &axis->config->rotor_search, axis->feedback.position);
+    rotor_hold_step(search, &axis->config->rotor_search, axis->feedback.count);
 }
 
 static void align_slow(axis_t *axis)

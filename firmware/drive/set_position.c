@@ -21,12 +21,8 @@ bool set_position_permitted(const axis_t *axis)
 
 void set_position_shift(axis_t *axis, int32_t counts)
 {
-    encoder_t *encoder = &axis->encoder.position;
     motion_state_t *m = &axis->motion;
-    encoder_monitor_t *monitor = &axis->diagnosis.encoder;
-    encoder->count_init = i32_sub_wrap(encoder->count_init, counts);
-    add(&encoder->position, counts);
-    add(&encoder->integral, counts);
+    add(&axis->encoder.position.whole, counts);
     axis->encoder.found = true; /* preserved by the next rotor search */
     add(&axis->encoder.observer.count, counts);
     add(&axis->feedback.position, counts);
@@ -34,6 +30,4 @@ void set_position_shift(axis_t *axis, int32_t counts)
     m->path.ramp += path_counts(counts);
     m->path.output += path_counts(counts);
     m->model_position += path_counts(counts);
-    add(&monitor->reference_position, counts);
-    add(&monitor->last_position, counts);
 }

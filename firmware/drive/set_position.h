@@ -7,7 +7,7 @@
 /* True at rest outside SPIN and ALIGN, or in position hold without a trajectory. */
 bool set_position_permitted(const axis_t *axis);
 
-/* Add `counts` to all position variables. */
+/* Add a number of position counts to all position variables. */
 void set_position_shift(axis_t *axis, int32_t counts);
 
 #endif

@@ -1,5 +1,6 @@
 #include "drive/take_config.h"
 
+#include "drive/homing.h"
 #include "drive/inputs.h"
 #include "drive/limits.h"
 #include "drive/speed_control.h"
@@ -32,9 +33,14 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
         axis->motion.position_gain = config->position_gain;
         axis->aligned = false;
     }
+    const bool other_encoder = encoder_lines(&config->encoder) != encoder_lines(&axis->config->encoder);
     axis->config = config;
     if (axis->sm.state != STATE_RUN) {
         inputs_configure(axis);
+        if (other_encoder) { /* another number of counts per turn: the position is not known any more */
+            axis->source->reset(axis);
+            homing_forget(axis);
+        }
     }
     axis->diagnosis.bus.u_dc_max = config->u_dc_max;
     axis->diagnosis.bus.u_dc_min = config->u_dc_min;

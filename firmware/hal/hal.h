@@ -99,7 +99,11 @@ void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value);
 
 /* ---- encoder timers (DRM 2.4, F10) ---------------------------------------------------------------------------- */
 
-/* TMRx0: quadrature count, 0..3999 upwards, 0..-3999 (two's complement) downwards, reload 0 (F12). */
+/* Start TMRx0 at 0; it reloads 0 after `period` counts in either direction, 400..32768: COMP1 = period - 1,
+ * COMP2 = 1 - period. Not in RUN. */
+void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period);
+
+/* TMRx0: quadrature count, 0..3999 upwards, 0..-3999 (two's complement) downwards, reload 0 (F12, period 4000). */
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis);
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 

@@ -6,9 +6,10 @@
 static frac32_t ratio(int16_t counts, uint32_t factor, uint16_t interval)
 {
     const uint32_t magnitude = (uint32_t)((counts < 0) ? -(int32_t)counts : (int32_t)counts);
-    const uint32_t scaled = magnitude * factor;
+    const uint64_t product = (uint64_t)magnitude * factor;
+    const uint32_t scaled = (uint32_t)(product & UINT32_C(0xFFFFFFFF));
     const uint32_t whole = scaled / interval;
-    if (whole > UINT32_C(0xFFFF)) {
+    if (product > UINT32_C(0xFFFFFFFF) || whole > UINT32_C(0xFFFF)) {
         return (counts < 0) ? FRAC32_MIN : FRAC32_MAX;
     }
     const uint32_t part = ((scaled % interval) << 15) / interval;

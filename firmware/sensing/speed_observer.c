@@ -1,7 +1,7 @@
 #include "sensing/speed_observer.h"
 
 #define COUNT (INT32_C(1) << SPEED_OBSERVER_BITS)
-#define HALF_COUNT (COUNT / 2)
+#define PART_SHIFT (24 - SPEED_OBSERVER_BITS)
 #define LOST (64 * COUNT) /* an estimate with this error no longer follows the shaft */
 
 static frac32_t speed_of(const speed_observer_t *observer, const speed_observer_config_t *config)
@@ -10,21 +10,22 @@ static frac32_t speed_of(const speed_observer_t *observer, const speed_observer_
 }
 
 void speed_observer_reset(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
-                          frac32_t speed)
+                          int32_t part, frac32_t speed)
 {
     observer->count = count;
+    observer->part = part;
     observer->offset = 0;
     observer->step = sat32(asr64((int64_t)speed * config->step_per_speed, 31 + 16 - SPEED_OBSERVER_BITS));
     observer->acceleration = 0;
 }
 
 /* Distance of the estimate from the interval of the measured count: the shaft may be anywhere within that count. */
-static int32_t outside(int32_t offset)
+static int32_t outside(int32_t offset, int32_t half_count)
 {
-    if (offset > HALF_COUNT) {
-        return HALF_COUNT - offset;
+    if (offset > half_count) {
+        return half_count - offset;
     }
-    return (offset < -HALF_COUNT) ? -HALF_COUNT - offset : 0;
+    return (offset < -half_count) ? -half_count - offset : 0;
 }
 
 static int64_t driven_by(const speed_observer_config_t *config, frac16_t i_q)
@@ -39,18 +40,20 @@ void speed_observer_retune(speed_observer_t *observer, const speed_observer_conf
 }
 
 frac32_t speed_observer_step(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
-                             frac16_t i_q)
+                             int32_t part, frac16_t i_q)
 {
     const int64_t acceleration = driven_by(config, i_q) + observer->acceleration;
-    const int64_t moved = (int64_t)i32_sub_wrap(count, observer->count) * COUNT;
+    const int64_t moved = (int64_t)i32_sub_wrap(count, observer->count) * COUNT + asr32(part, PART_SHIFT) -
+                          asr32(observer->part, PART_SHIFT);
     observer->count = count;
+    observer->part = part;
     observer->offset = sat32((int64_t)observer->offset + observer->step + asr64(acceleration, 1) - moved);
     observer->step = sat32(observer->step + acceleration);
 
-    const int32_t error = outside(observer->offset);
+    const int32_t error = outside(observer->offset, observer->half_count);
     if (error > LOST || error < -LOST) {
         const int64_t speed = asr64((int64_t)sat32(moved) * config->speed_per_step, SPEED_OBSERVER_BITS);
-        speed_observer_reset(observer, config, count, sat32(speed));
+        speed_observer_reset(observer, config, count, part, sat32(speed));
     } else if (error != 0) {
         observer->offset += f32_gain(error, config->l_position);
         observer->step = f32_add(observer->step, f32_gain(error, config->l_speed));

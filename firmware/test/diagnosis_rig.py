@@ -9,7 +9,7 @@ from firmware_compiler import FIRMWARE, CompileC
 
 SENSOR, PHASE, CURRENT, ENCODER, ANGLE = (1 << bit for bit in range(5))  # SUSPECT_ bits
 DEAD_TIME, BUS_COMPENSATION, FOLLOWING_ERROR, OVER_SPEED = 8, 4, 256, 512  # FEATURE_ bits
-SILENT, DIRECTION_MIN, EMF_FLOOR, RESISTANCE = 636, 318, 1208, 0.1875
+SILENT, DIRECTION_MIN, EMF_FLOOR, RESISTANCE, ABRUPT_COUNTS = 636, 318, 1208, 0.1875, 8
 
 _HEADERS: Final = ("diagnosis/diagnosis.h", "diagnosis/fault_isolate.h", "diagnosis/fault_latch.h")
 _OTHERS: Final = ("math/trig.c", "sensing/rotor_follow.c", "test/diagnosis_inlines.c")
@@ -30,6 +30,7 @@ class Diagnosis:
         self.lib: Any = lib
         self.monitors: Any = self.ffi.new("diagnosis_t *")
         self.seen: Any = self.ffi.new("observation_t *")
+        self.seen.abrupt_counts = ABRUPT_COUNTS
         self.shaft_seen: Any = self.ffi.new("shaft_observation_t *")
         self.evidence: Any = self.ffi.new("evidence_t *")
         winding = (SILENT, DIRECTION_MIN, round(RESISTANCE * 2**24), 5856774, EMF_FLOOR, 8195)
@@ -77,8 +78,8 @@ class Diagnosis:
     def phase(self) -> set[str]:
         return self._step(self.lib.phase_monitor_step, "phase", self.winding)
 
-    def encoder(self, position: int = 0, kp: int = 1 << 24) -> set[str]:
-        self.seen.position = position
+    def encoder(self, count: int = 0, kp: int = 1 << 24) -> set[str]:
+        self.seen.count = count
         return self._step(self.lib.encoder_monitor_step, "encoder", self.winding, kp)
 
     def angle(self) -> set[str]:
@@ -103,8 +104,8 @@ class Diagnosis:
         self.seen.current_ref.q = i_q
         self.lib.stall_test_start(self.ffi.addressof(self.monitors, "stall"), self.search, self.seen)
 
-    def stall(self, position: int = 0) -> set[str]:
-        self.seen.position = position
+    def stall(self, count: int = 0) -> set[str]:
+        self.seen.count = count
         return self._step(self.lib.stall_test_step, "stall", self.search)
 
     def suspect(self) -> Any:

@@ -102,6 +102,12 @@ uint16_t hal_encoder_count(hal_t *hal, uint16_t axis)
     return hal->axis[axis].count;
 }
 
+void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period)
+{
+    note(hal, FAKE_ENCODER_START, axis, (int16_t)period);
+    hal->axis[axis].count = 0;
+}
+
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count)
 {
     note(hal, FAKE_ENCODER_PRESET, axis, (int16_t)count);

@@ -17,6 +17,7 @@ typedef enum {
     FAKE_PWM_ENABLE, /* value: on */
     FAKE_BREAK_CLEAR,
     FAKE_ENCODER_COUNT,
+    FAKE_ENCODER_START, /* value: period */
     FAKE_ENCODER_PRESET, /* value: count */
     FAKE_INDEX_COUNT,
     FAKE_CAPTURE_ARM,

@@ -13,9 +13,10 @@ AGE_OVERFLOW = 0x10000
 class QuadTimer:
     """Model of TMRx0 and TMRx2, edge by edge (F10, F12, F13)."""
 
-    def __init__(self, shaft: int = 0, count: int = 0) -> None:
+    def __init__(self, shaft: int = 0, count: int = 0, period: int = COUNTS) -> None:
+        self._period = period
         self.shaft = shaft  # true position [edges]; a B edge follows each odd number upwards
-        self.count = count  # TMRx0, -3999 .. 3999
+        self.count = count  # TMRx0, -3999 .. 3999 with the period 4000
         self.index = 0  # TMRx2, 16 bits, increasing only
         self._oflag = False
         self.index_works = True
@@ -28,7 +29,7 @@ class QuadTimer:
             self.shaft += step
             if b_edge:
                 self._oflag = False
-            last = step * (COUNTS - 1)
+            last = step * (self._period - 1)
             self.count = 0 if self.count == last else self.count + step
             if self.count == last and not self._oflag:  # compare match: OFLAG rises and clocks TMRx2
                 self._oflag = True

@@ -194,7 +194,14 @@ TOGETHER = [
     case("board.over_voltage = 36.3", "36.3 V"),
     case("board.dead_time = 4e-05", "period"),
     # fixed by the contract
-    case("axis1.encoder.lines (in [defaults.encoder]) = 2500", "4000", defaults__encoder__lines=2500),
+    case("axis1.limits.speed (in [defaults.limits]) = 314", "239.7 rad/s", defaults__encoder__lines=16384),
+    case(
+        "axis1.encoder.lines (in [defaults.encoder]) = 16385",
+        "16384",
+        defaults__encoder__lines=16385,
+        defaults__limits__speed=200.0,
+    ),
+    case("axis1.encoder.lines (in [defaults.encoder]) = 99", "100", defaults__encoder__lines=99),
     case("board.slow_divider = 16", "write 8"),
     case("board.pwm_frequency = 20000", "write 16000"),
     case("axis1.control.anti_windup = 1", "E35"),
@@ -239,7 +246,7 @@ TOGETHER = [
         board__dead_time=1e-8,
     ),
     case("axis1: omega_n Ts", "path_omega_n_ts", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
-    case("board.timer_clock: speed per count and clock", "mt_speed.speed_per_ratio", board__timer_clock=1.1e7),
+    case("board.timer_clock: speed per count and clock", "mt_speed.speed_per_ratio", board__timer_clock=1.1e10),
     case("axis1.rotor_search.ramp_time: current", "rotor_search.current_step", axis1__rotor_search__ramp_time=1e-4),
     # times
     case("axis1.timing.stall_max = 32.7675", "65534"),

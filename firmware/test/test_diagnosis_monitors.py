@@ -449,7 +449,7 @@ def test_a_step_of_the_set_point_explains_the_voltage_of_its_tick(spinning: Diag
 def stopped_at_once(rig: Diagnosis, counts: int = 8) -> None:
     for k in range(5):
         rig.encoder(k * counts)
-    rig.monitors.encoder.reference_position = rig.monitors.encoder.last_position = 0
+    rig.monitors.encoder.reference_count = rig.monitors.encoder.last_count = 0
 
 
 @pytest.mark.parametrize(("counts", "tick"), [(8, 20), (7, 0)])
@@ -619,7 +619,7 @@ def test_a_flux_that_follows_the_vector_is_a_free_rotor_with_a_dead_encoder(
 
 def mirrored(rig: Diagnosis, movement: int) -> None:
     """The shaft moves while the vector rotates to the first side."""
-    rig.seen.position = 0
+    rig.seen.count = 0
     rig.stall_start(15888)
     for _ in range(50):
         assert rig.stall() == NOTHING

@@ -162,7 +162,7 @@ def test_outputs_never_come_on_with_a_fault_pending(bench: Bench) -> None:
     bench.to_substate(0, SUBSTATE.CALIB)
     bench.until(lambda: bool(bench.axis(0).calibrated) or bench.axis(0).sense.samples > 500, 200)
     times_on = bench.hal.axis[0].times_on
-    bench.axis(0).encoder.position.turns += 1  # index and count disagree
+    bench.axis(0).encoder.counter.turns += 1  # index and count disagree
     bench.slow(5)
     assert bench.view(0).faults == FAULTS.ENCODER
     assert bench.hal.axis[0].times_on == times_on

@@ -65,7 +65,7 @@ def test_setting_the_position_causes_no_motion_and_is_kept(
         assert result(bench) == "DONE"
         assert state(bench) == "KNOWN"
         assert bench.view(0).position == value
-        assert bench.axis(0).encoder.position.integral == value
+        assert bench.axis(0).encoder.position.whole == value
         if held:
             assert bench.view(0).position_ref == value
             assert bench.axis(0).motion.target == value

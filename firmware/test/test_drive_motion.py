@@ -435,15 +435,9 @@ def move_counters(bench: Bench, counts: int) -> None:
     bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(2)
     axis = bench.axis(0)
-    encoder = axis.encoder.position
-
-    def wrapped(x: int) -> int:
-        return (x + 2**31) % 2**32 - 2**31
-
-    encoder.count_init = wrapped(encoder.count_init - counts)
-    encoder.integral = wrapped(encoder.integral + counts)
-    encoder.position = wrapped(encoder.position + counts)
-    axis.feedback.position = encoder.position
+    axis.feedback.position = axis.encoder.position.whole = (
+        axis.encoder.position.whole + counts + 2**31
+    ) % 2**32 - 2**31
 
 
 @pytest.mark.parametrize("features", [0, FEATURES.SPEED_FORWARD | FEATURES.FOLLOWING_ERROR])

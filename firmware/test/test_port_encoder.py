@@ -37,6 +37,15 @@ def test_count_and_index_count_are_read_from_their_timers(board: FakeBoard, axis
     assert board[TMR[axis] + CNTR] == 1000
 
 
+@pytest.mark.parametrize(
+    ("period", "up", "down"), [(4000, 0x0F9F, 0xF061), (400, 0x018F, 0xFE71), (32768, 0x7FFF, 0x8001)]
+)
+def test_the_counter_reloads_after_its_period(board: FakeBoard, period: int, up: int, down: int) -> None:
+    board[TMR[1] + CNTR] = 7
+    board.lib.hal_encoder_start(board.hal, 1, period)
+    assert (board[TMR[1]], board[TMR[1] + 1], board[TMR[1] + CNTR]) == (up, down, 0)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_arm_opens_the_captures_and_the_interrupt(board: FakeBoard, axis: int) -> None:
     for channel in range(4):

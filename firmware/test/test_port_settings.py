@@ -11,6 +11,7 @@ import pytest
 from firmware_compiler import FIRMWARE, STRICT, CompileC, CompileProgram, defined
 from port_board import PORT, names_of
 from servo_msgs_py.text_file import read_toml
+from servo_tuning.checks import COUNT_TIME_MIN
 
 # The reference configuration, calculated by hand for a bus of 100 MHz, 16 kHz, 1 us of dead time and 115200 baud.
 REFERENCE = {
@@ -48,8 +49,6 @@ REFERENCE = {
     "SET_ADC_SDIS": 0xC0C0,
     "SET_ADC_SCTRL": 0x0008,
     "SET_ADC_STAT_CLEAR": 0x1800,
-    "SET_TMR0_COMP1": 0x0F9F,
-    "SET_TMR0_COMP2": 0xF061,
     "SET_TMR0_LOAD": 0x0000,
     "SET_TMR0_CTRL": 0x80A5,
     "SET_TMR2_CTRL": 0x2800,
@@ -130,7 +129,7 @@ def test_the_application_has_the_same_quantities() -> None:
     assert quantity("PWM_FREQUENCY_HZ") == nominal["board"]["pwm_frequency"]
     assert quantity("DEAD_TIME_NS") == pytest.approx(1e9 * nominal["board"]["dead_time"])
     assert quantity("BUS_CLOCK_HZ") / quantity("TIME_STAMP_DIVIDER") == nominal["board"]["timer_clock"]
-    assert quantity("ENCODER_LINES") == nominal["defaults"]["encoder"]["lines"]
+    assert 2 * quantity("ENCODER_FILTER_NS") == pytest.approx(1e9 * COUNT_TIME_MIN)
 
 
 # ---- registers that depend on a quantity ----------------------------------------------------------------------------
@@ -153,7 +152,6 @@ SCAN = {"START_COUNT", "M1_COUNT", *EVENTS}
         ("SERIAL_BAUD=921600UL", {"SET_QSCI_RATE"}),
         ("SERIAL_CLOCK_DOUBLE=1", {"SET_QSCI_RATE", "SET_SIM_PCR"}),
         ("WATCHDOG_MS=100UL", {"SET_COP_TOUT"}),
-        ("ENCODER_LINES=512", {"SET_TMR0_COMP1", "SET_TMR0_COMP2"}),
         ("ENCODER_FILTER_NS=400UL", {"SET_TMR_FILT"}),
         ("TIME_STAMP_DIVIDER=64UL", {"SET_TMR_CTRL_TIME"}),
         ("FAULT_FILTER_NS=200UL", {"SET_PWM_FFILT0"}),
@@ -234,10 +232,7 @@ def compile_errors(tmp_path: Path, defines: Sequence[str]) -> str:
         ("ADC_HOLD_NS=900UL", "sample_lies_behind_the_centre"),
         ("AMPLIFIER_DELAY_NS=30000UL", "sample_lies_in_the_first_half"),
         ("AMPLIFIER_DELAY_NS=28000UL", "start_interrupt_has_time"),
-        ("ENCODER_LINES=9000", "encoder_counts_fit_the_timer"),
         ("ENCODER_FILTER_NS=20UL", "encoder_filter_can_be_set"),
-        ("ENCODER_FILTER_NS=1000UL", "encoder_filter_passes_the_speed"),
-        ("ENCODER_SPEED_RPM=20000UL", "encoder_filter_passes_the_speed"),
         ("TIME_STAMP_DIVIDER=100UL", "time_stamp_divider_exists"),
         ("SERIAL_BAUD=300UL", "baud_rate_is_not_too_low"),
         ("SERIAL_BAUD=12000000UL", "baud_rate_is_not_too_high"),

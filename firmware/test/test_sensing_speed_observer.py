@@ -37,14 +37,17 @@ def rounded_gain(x: int, gain: int) -> int:
     return saturated(math.floor(Fraction(x * gain, 2**24) + Fraction(1, 2)))
 
 
-def model(state: tuple[int, int, int, int], config: Any, count: int, i_q: int) -> tuple[tuple[int, int, int, int], int]:
+State = tuple[int, int, int, int, int]
+
+
+def model(state: State, half: int, config: Any, count: int, part: int, i_q: int) -> tuple[State, int]:
     """One step in unlimited integers; all roundings downwards, except those of the gains."""
-    last, offset, step, acceleration = state
+    last, last_part, offset, step, acceleration = state
     total = (i_q * 2**16 * config.acceleration_per_current >> 31) + acceleration
-    moved = ((count - last + 2**31) % 2**32 - 2**31) * ONE
+    moved = ((count - last + 2**31) % 2**32 - 2**31) * ONE + (part >> 2) - (last_part >> 2)
     offset = saturated(offset + step + (total >> 1) - moved)
     step = saturated(step + total)
-    error = ONE // 2 - offset if offset > ONE // 2 else -ONE // 2 - offset if offset < -ONE // 2 else 0
+    error = half - offset if offset > half else -half - offset if offset < -half else 0
     if abs(error) > 64 * ONE:
         speed = saturated(saturated(moved) * config.speed_per_step >> 22)
         step = saturated(speed * config.step_per_speed >> 25)
@@ -53,7 +56,7 @@ def model(state: tuple[int, int, int, int], config: Any, count: int, i_q: int) -
         offset += rounded_gain(error, config.l_position)
         step = saturated(step + rounded_gain(error, config.l_speed))
         acceleration = saturated(acceleration + rounded_gain(error, config.l_acceleration))
-    return (count, offset, step, acceleration), saturated(step * config.speed_per_step >> 22)
+    return (count, part, offset, step, acceleration), saturated(step * config.speed_per_step >> 22)
 
 
 @given(
@@ -62,26 +65,39 @@ def model(state: tuple[int, int, int, int], config: Any, count: int, i_q: int) -
     offset=st.one_of(st.integers(-ONE, ONE), int32s),
     step=int32s,
     acceleration=int32s,
+    parts=st.tuples(*[st.sampled_from([0, 0, 1, 2**23, -(2**23)])] * 2),
+    lines=st.sampled_from([1000, 1000, 100, 16384]),
     i_q=st.integers(-(2**15), 2**15 - 1),
 )
 def test_step_agrees_with_the_model(
-    core: Core, count: int, moved: int, offset: int, step: int, acceleration: int, i_q: int
+    core: Core,
+    count: int,
+    moved: int,
+    offset: int,
+    step: int,
+    acceleration: int,
+    parts: tuple[int, int],
+    lines: int,
+    i_q: int,
 ) -> None:
-    """Exact over the whole range of every number, with saturation and the wrap of the count."""
+    """Exact over the whole range of every number, with saturation and the wrap of the count, for any encoder."""
     config = axis_config(core)
     now = (count + moved + 2**31) % 2**32 - 2**31
-    observer = core.ffi.new("speed_observer_t *")
-    observer.count, observer.offset, observer.step, observer.acceleration = count, offset, step, acceleration
-    state, expected = model((count, offset, step, acceleration), config, now, i_q)
-    assert core.lib.speed_observer_step(observer, config, now, i_q) == expected
-    assert (observer.count, observer.offset, observer.step, observer.acceleration) == state
+    observer = core.ffi.new("speed_observer_t *", {"half_count": 500 * ONE // lines})
+    fields = "count", "part", "offset", "step", "acceleration"
+    before = count, parts[0], offset, step, acceleration
+    for name, value in zip(fields, before, strict=True):
+        setattr(observer, name, value)
+    state, expected = model(before, observer.half_count, config, now, parts[1], i_q)
+    assert core.lib.speed_observer_step(observer, config, now, parts[1], i_q) == expected
+    assert tuple(getattr(observer, name) for name in fields) == state
 
 
 @given(raw=int32s, count=int32s)
 def test_observer_starts_with_the_given_speed(core: Core, raw: int, count: int) -> None:
     config = axis_config(core)
     observer = core.ffi.new("speed_observer_t *")
-    core.lib.speed_observer_reset(observer, config, count, raw)
+    core.lib.speed_observer_reset(observer, config, count, 0, raw)
     counts_per_tick = raw / 2**31 * FULL * TICK / COUNT
     assert observer.step / ONE == pytest.approx(counts_per_tick, rel=1e-5, abs=1e-6)
     assert (observer.count, observer.offset, observer.acceleration) == (count, 0, 0)
@@ -92,9 +108,9 @@ class Shaft:
 
     def __init__(self, core: Core, speed_rad_s: float = 0.0) -> None:
         self.core, self.config = core, axis_config(core)
-        self.observer = core.ffi.new("speed_observer_t *")
+        self.observer = core.ffi.new("speed_observer_t *", {"half_count": ONE // 2})
         self.theta, self.omega = 0.0, speed_rad_s
-        core.lib.speed_observer_reset(self.observer, self.config, 0, 0)
+        core.lib.speed_observer_reset(self.observer, self.config, 0, 0, 0)
 
     def step(self, i_q: float = 0.0, load: float = 0.0) -> float:
         """One tick with a current [A] that is fed forward and a load [N m] that is not; return the speed."""
@@ -102,7 +118,7 @@ class Shaft:
         self.theta += self.omega * TICK + 0.5 * acceleration * TICK**2
         self.omega += acceleration * TICK
         raw = self.core.lib.speed_observer_step(
-            self.observer, self.config, round(self.theta / COUNT), round(i_q / 8.25 * 2**15)
+            self.observer, self.config, round(self.theta / COUNT), 0, round(i_q / 8.25 * 2**15)
         )
         return rad_s(raw)
 

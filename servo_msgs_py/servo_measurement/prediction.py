@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD, TICK
+from servo_msgs_py.units import PERIOD, TICK
 from servo_tuning.control_loops import ControlLoops, control_loops
 from servo_tuning.linear import Margins, Omega, margins
 from servo_tuning.loops import In, Out, ShaftLoops
@@ -44,10 +44,15 @@ class Prediction:
         return AxisConfigTable.load().value(path, self.block)
 
     @property
+    def _lines(self) -> float:
+        """Lines of the encoder per turn."""
+        return float(round(2.0**30 / self.block["encoder.angle_per_count"]))
+
+    @property
     def timer_clock(self) -> float:
         """Clock of the timers that measure the edges of the encoder [Hz]."""
         per_ratio = self.value("mt_speed.speed_per_ratio") * Catalogue.load().full_scale("speed")
-        return per_ratio * COUNTS_PER_TURN / (2.0 * math.pi)
+        return per_ratio * 4.0 * self._lines / (2.0 * math.pi)
 
     @property
     def voltage_max(self) -> float:
@@ -67,7 +72,7 @@ class Prediction:
     def _delay(self) -> EdgeDelay | None:
         if self.observed or self.speed == 0.0:
             return None
-        return edge_delay(COUNTS_PER_TURN / 4.0, TICK, abs(self.speed))
+        return edge_delay(self._lines, TICK, abs(self.speed))
 
     def _open(self, omega: Omega) -> NDArray[np.complex128]:
         if self.loop in _CURRENT_AXES:

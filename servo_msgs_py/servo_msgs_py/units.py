@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 COUNTS_PER_TURN: Final = 4000
-"""Counts per mechanical revolution of a 1000-line encoder (DRM 2.4.1)."""
+"""Unit of positions in the contract, per mechanical revolution: a count of a 1000-line encoder (DRM 2.4.1)."""
 
 PERIOD_NS: Final = 62_500
 """Length of one PWM period, 16 kHz [ns]."""

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.linear import Margins, Pole, System, Tracking, poles, spectral_radius
 from servo_tuning.loops import In, Out
@@ -211,7 +212,7 @@ def shaped_arrival(design: Tuned) -> tuple[float, float]:
     u[:, In.SET_POINT] = _filtered(ramp, design.used.path_omega_n * tick)
     angle = design.shaft().position.simulate(u)[:, Out.ANGLE]
     beyond = float(angle.max()) - float(ramp[-1])
-    return max(beyond, 0.0) * design.axis.counts / (2.0 * math.pi), float(u[settled, In.SET_POINT] - angle[settled])
+    return max(beyond, 0.0) * COUNTS_PER_TURN / (2.0 * math.pi), float(u[settled, In.SET_POINT] - angle[settled])
 
 
 def _load_step(design: Tuned) -> LoadStep:

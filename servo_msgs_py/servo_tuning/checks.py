@@ -27,6 +27,10 @@ LOST_VOLTAGE_COUNTS_MAX: Final = 25.0
 """Largest movement of a shaft by dead time and switch drops. Of 12 random motors on the switching plant with 32 and
 more, 11 oscillated by 10 .. 900 counts or had a fault; of 10 with less, three did."""
 
+COUNT_TIME_MIN: Final = 400e-9
+"""Shortest time between two counts: twice that of the input filters of the encoders, which leaves half of a level for
+tolerances of the encoder [s]."""
+
 
 def check(configuration: Configuration, catalogue: Catalogue) -> None:
     """Check everything that does not depend on the gains.
@@ -98,9 +102,11 @@ def _into(entry: str, value: float, variable: Variable) -> Remedy:
 
 def _axis(axis: Axis) -> None:
     """Check encoder, limits, friction and inertia."""
-    if axis.counts != COUNTS_PER_TURN:
-        reason = f"the firmware is built for {COUNTS_PER_TURN} counts per turn, 4 per line"
-        raise axis.refused("encoder.lines", reason, exactly("encoder.lines", COUNTS_PER_TURN / 4.0))
+    fastest = 2.0 * math.pi / axis.counts / COUNT_TIME_MIN
+    if axis("limits.speed") > fastest:
+        reason = f"above {fastest:.4g} rad/s, where the input filters of the board lose counts of"
+        reason = f"{reason} {axis('encoder.lines'):g} lines"
+        raise axis.refused("limits.speed", reason, lower("limits.speed"), lower("encoder.lines"))
     if axis("control.anti_windup") >= 1.0:
         raise axis.refused("control.anti_windup", "Kc of DRM E35 lies between 0 and 1", lower("control.anti_windup"))
     if axis.features["over_speed"] and axis("limits.over_speed") <= axis("limits.speed"):
@@ -161,7 +167,7 @@ def _lost_voltage(axis: Axis, board: Board) -> None:
     lost = board("nominal_voltage") * board("dead_time") / board.period + board("switch_drop")
     motor, loop = axis.motor, 2.0 * math.pi * board("pwm_frequency") / CURRENT_SAMPLES_MIN
     acceleration = lost / (motor.l_q * loop) * motor.torque_constant / motor.inertia
-    moved = acceleration * LOST_VOLTAGE_TIME**2 * axis.counts / (2.0 * math.pi)
+    moved = acceleration * LOST_VOLTAGE_TIME**2 * COUNTS_PER_TURN / (2.0 * math.pi)
     if hidden > axis("limits.current") and moved > LOST_VOLTAGE_COUNTS_MAX:
         reason = (
             f"too light for this winding: below {hidden:.2g} A the PWM ripple hides the direction of its current, and"

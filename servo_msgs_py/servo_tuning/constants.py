@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from servo_msgs_py.units import COUNTS_PER_TURN
+
 from servo_tuning.braking import pin_constants, stop_constants
 from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration
 from servo_tuning.conversion import AxisConstants, Converter, Fraction, Switches, Value, rounded
@@ -24,6 +26,9 @@ SIGN_USE: Final = 0.5
 """Largest change of the current during a dead time, over the current limit."""
 SILENT_USE: Final = 0.8
 """Largest current of a phase that is taken for silent, over the current limit."""
+
+LINES_PER_RELOAD: Final = 8192
+"""Lines of the encoder with which a turn fits the 16-bit counter; with more it reloads twice per turn."""
 
 _LINES: Final = "correct encoder.lines"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
@@ -96,8 +101,8 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Value]:
 def _sensing(to: Converter) -> dict[str, Value]:
     axis, board, s = to.axis, to.board, to.s
     p, counts = axis("motor.pole_pairs"), axis.counts
-    steps = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
-    per_rad = counts / (2.0 * math.pi)
+    per_rad = COUNTS_PER_TURN / (2.0 * math.pi)
+    steps = s.speed * board.tick * per_rad  # position counts per slow tick at full-scale speed
     torque = (
         axis.torque_constant * s.i / axis("motor.inertia") * board.tick**2 * per_rad
     )  # used with a holding brake, too
@@ -105,7 +110,7 @@ def _sensing(to: Converter) -> dict[str, Value]:
     search, found = "rotor_search", RotorSearch.of(axis, board)
     return {
         "feedback": FEEDBACKS.index(axis.feedback),
-        "encoder.counts": to.at("encoder.lines", 4.0),
+        "encoder.counts": to.at("encoder.lines", 4.0 if axis("encoder.lines") <= LINES_PER_RELOAD else 2.0),
         "encoder.pole_pairs": to.at("motor.pole_pairs", 1.0),
         "encoder.angle_per_count": to.of("angle per count", 2.0**32 / counts, _LINES),
         "speed_observer.speed_per_step": to.of("speed per step", 1.0 / steps, _LINES),
@@ -193,13 +198,13 @@ def speed_observer_constants(to: Converter) -> dict[str, Value]:
 
 
 def _motion(to: Converter, gains: Gains) -> dict[str, Value]:
-    board, s, counts = to.board, to.s, to.axis.counts
-    step = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
+    board, s = to.board, to.s
+    step = s.speed * board.tick * COUNTS_PER_TURN / (2.0 * math.pi)  # position counts per slow tick at full-scale speed
     entries = ("control.path_current_use", "limits.current", "limits.speed")
     path: tuple[Remedy | str, ...] = (*map(either, entries), "correct motor.inertia or motor.psi_m")
     return {
         "speed": to.pi("speed", "speed controller", gains.speed, s.speed / s.i, *_SLOWER),
-        "position_gain": to.at("control.position_gain", 2.0 * math.pi / counts / s.speed),
+        "position_gain": to.at("control.position_gain", 2.0 * math.pi / COUNTS_PER_TURN / s.speed),
         "path_omega_n_ts": to.of("omega_n Ts of the path", gains.path_omega_n * board.tick, *path),
         "path_step_per_speed": to.of("path step", step, _LINES),
         "speed_per_path_step": to.of("speed per path step", 1.0 / step, _LINES),
@@ -233,7 +238,7 @@ def _acceleration_forward(to: Converter) -> dict[str, Value]:
 
 def _limits(to: Converter) -> dict[str, Value]:
     axis, board, s = to.axis, to.board, to.s
-    per_rad = axis.counts / (2.0 * math.pi)
+    per_rad = COUNTS_PER_TURN / (2.0 * math.pi)
 
     def volts(key: str) -> Fraction:
         return to.board_at(key, 1.0 / s.u_dc)
@@ -278,7 +283,7 @@ def _supervision(to: Converter) -> dict[str, Value]:
 
 
 def _home(to: Converter) -> dict[str, Value]:
-    per_rad = to.axis.counts / (2.0 * math.pi)
+    per_rad = COUNTS_PER_TURN / (2.0 * math.pi)
     counts = {"home.back_off": "home.back_off", "home.spread_max": "home.spread", "home.reach": "home.reach"}
     return {
         "home.speed": to.at("home.speed", 1.0 / to.s.speed),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.assessment import INERTIAS
 from servo_tuning.linear import Omega
@@ -111,7 +112,7 @@ def _load_step(plot: Any, design: Tuned) -> None:
     u = np.zeros((ticks, len(In)))
     u[:, In.LOAD] = torque
     for factor in INERTIAS:
-        angle = design.shaft(factor).position.simulate(u)[:, Out.ANGLE] * design.axis.counts / (2.0 * math.pi)
+        angle = design.shaft(factor).position.simulate(u)[:, Out.ANGLE] * COUNTS_PER_TURN / (2.0 * math.pi)
         plot.plot(1e3 * design.board.tick * np.arange(ticks), angle, label=f"inertia x {factor:g}", linewidth=1.1)
     plot.set_xlabel("time [ms]")
     plot.set_ylabel("deflection [counts]")

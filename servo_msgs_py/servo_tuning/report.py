@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+from servo_msgs_py.units import COUNTS_PER_TURN
+
 from servo_tuning.assessment import Assessment, assess
 from servo_tuning.configuration import Configuration
 from servo_tuning.errors import Problem
@@ -162,7 +164,7 @@ def _rule(figures: Assessment) -> Iterator[str]:
 
 def _moves(design: Tuned, figures: Assessment) -> Iterator[str]:
     reach, arrival, load = figures.reach, figures.arrival, figures.load_step
-    axis, counts = design.axis, design.axis.counts / (2.0 * math.pi)
+    axis, counts = design.axis, COUNTS_PER_TURN / (2.0 * math.pi)
     limit, speed = axis("limits.current"), axis("limits.speed")
     feature = ", ".join(key for key, on in axis.features.items() if on)
     rows = [

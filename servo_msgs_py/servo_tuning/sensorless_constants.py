@@ -8,6 +8,7 @@ from functools import partial
 from typing import Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.configuration import Axis, Board, Scales
 from servo_tuning.conversion import Converter, Field, Fraction, PiRaw, Value
@@ -99,7 +100,7 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Value]:
         "pll.step_max": to.of("rotation per period, above full speed", 1.25 * 2.0**32 * turn, "fewer motor.pole_pairs"),
         "pll.speed_per_step": to.of("speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
         "pll.step_per_speed": to.of("rotation per period at full speed", 2.0**32 * turn, "fewer motor.pole_pairs"),
-        "pll.counts_per_turn": to.of("counts per electrical turn", axis.counts / p, _MOTOR),
+        "pll.counts_per_turn": to.of("counts per electrical turn", COUNTS_PER_TURN / p, _MOTOR),
         "pll.acceleration": Fraction(
             axis.entry("observer.pll_torque", "change of the rotation per period in a tick"),
             2.0**32 * acceleration,

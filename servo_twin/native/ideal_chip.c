@@ -264,6 +264,11 @@ void hal_over_current_clear(hal_t *hal, uint16_t axis)
 
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis) { return hal->plant.axis[axis].encoder.count; }
 
+void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period)
+{
+    plant_encoder_start(&hal->plant.axis[axis].encoder, period);
+}
+
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count) { hal->plant.axis[axis].encoder.count = count; }
 
 uint16_t hal_index_count(hal_t *hal, uint16_t axis) { return hal->plant.axis[axis].encoder.index; }

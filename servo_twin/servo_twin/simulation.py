@@ -119,5 +119,5 @@ def _measure(board: Board, log: NDArray[np.void], axis: int, target: int, tolera
 
 
 def turns(value: float) -> int:
-    """Convert revolutions to encoder counts."""
+    """Convert revolutions to position counts."""
     return round(value * COUNTS_PER_TURN)

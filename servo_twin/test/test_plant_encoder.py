@@ -17,12 +17,13 @@ TICK_NS = 1280
 class Encoder:
     """An encoder whose shaft is moved to positions given in counts."""
 
-    def __init__(self, plant_c: Native, start: float = 0.5, lines: int = 1000) -> None:
+    def __init__(self, plant_c: Native, start: float = 0.5, lines: int = 1000, period: int = 4000) -> None:
         self.native = plant_c
         self.edge = 2 * math.pi / (4 * lines)
         self.c = plant_c.ffi.new("plant_encoder_t *")
         axis = ideal_plant(theta_start=start * self.edge, encoder_lines=lines).axes[0]
         plant_c.lib.plant_encoder_init(self.c, c_axis(plant_c, axis))
+        plant_c.lib.plant_encoder_start(self.c, period)
         self.at = start
         self.now_ns = 0
 
@@ -67,7 +68,8 @@ class Encoder:
 class Model:
     """The timers of one axis edge by edge, from the words of the reference design (DRM 2.4.1, 2.4.2)."""
 
-    def __init__(self, position: int) -> None:
+    def __init__(self, position: int, period: int) -> None:
+        self._last = period - 1
         self.position, self.count, self.index, self.oflag = position, 0, 0, False
 
     def step(self, up: bool) -> None:
@@ -75,7 +77,7 @@ class Model:
         self.position += 1 if up else -1
         if boundary % 2 == 0:  # an edge of B
             self.oflag = False
-        compare = 3999 if up else -3999
+        compare = self._last if up else -self._last
         self.count = 0 if self.count == compare else self.count + (1 if up else -1)
         if self.count == compare and not self.oflag:
             self.index += 1
@@ -86,20 +88,23 @@ class Model:
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(
     start=st.integers(-9000, 9000),
+    period=st.sampled_from([4000, 4000, 400, 32768]),
     moves=st.lists(
         st.one_of(st.integers(-30, 30), st.integers(-9000, 9000), st.sampled_from([-4000, 4000, 3999, -3999])),
         max_size=12,
     ),
 )
-def test_agrees_with_the_timers_edge_by_edge(plant_c: Native, timed: bool, start: int, moves: list[int]) -> None:
-    encoder, model = Encoder(plant_c, start + 0.5), Model(start)
+def test_agrees_with_the_timers_edge_by_edge(
+    plant_c: Native, timed: bool, start: int, period: int, moves: list[int]
+) -> None:
+    encoder, model = Encoder(plant_c, start + 0.5, period=period), Model(start, period)
     for move in moves:
         (encoder.move_to if timed else encoder.count_to)(encoder.at + move)
         for _ in range(abs(move)):
             model.step(move > 0)
         assert (encoder.count, encoder.c.index, encoder.c.oflag) == (model.count, model.index & 0xFFFF, model.oflag)
         # the angle is correct after any number of reloads
-        assert (encoder.count - (model.position - start)) % 4000 == 0
+        assert (encoder.count - (model.position - start)) % period == 0
 
 
 def test_a_preset_shifts_the_angle_and_reloads_as_before(plant_c: Native) -> None:

@@ -17,6 +17,7 @@ from servo_twin.board import Board
 from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import ServoConfig
 
 from servo_msgs_py import topics
 
@@ -41,7 +42,11 @@ class TwinRig:
     every : int
         Ticks between two samples.
     plant : PlantConfig, optional
-        Plant of the real board, if it differs from the model of the twin.
+        Plant of the real board, if it differs from the default.
+    twin_plant : PlantConfig, optional
+        Plant of the twin, likewise.
+    servo : ServoConfig, optional
+        Configuration of both boards, if it differs from the default.
     settings : TwinSettings, optional
         Settings of the twin.
     tick_base : int
@@ -55,13 +60,15 @@ class TwinRig:
         twin_seed: int = 2,
         every: int = EVERY,
         plant: PlantConfig | None = None,
+        twin_plant: PlantConfig | None = None,
+        servo: ServoConfig | None = None,
         settings: TwinSettings | None = None,
         tick_base: int = 0,
     ) -> None:
         self.every = every
-        self.board = Board(plant, seed=real_seed)
+        self.board = Board(plant, seed=real_seed, servo=servo)
         self.real = Replica(self.board)
-        self.twin = Twin(lambda: Board(seed=twin_seed), settings)
+        self.twin = Twin(lambda: Board(twin_plant, seed=twin_seed, servo=servo), settings)
         self.pairs: list[Pair] = []
         self.reporting = True  # applied commands are reported to the twin
         self.listening = True  # samples and commands are passed to the twin

@@ -63,15 +63,9 @@
 #define ADC_START_ADC_CLOCKS 4UL /* at most, from the compare through crossbars to the first ADC clock: measure it */
 #endif
 
-/* Encoders. */
-#ifndef ENCODER_LINES
-#define ENCODER_LINES 1000
-#endif
-#ifndef ENCODER_SPEED_RPM
-#define ENCODER_SPEED_RPM 5000UL /* highest speed for the input filters */
-#endif
+/* Encoders; lines and speeds are configuration of an axis. */
 #ifndef ENCODER_FILTER_NS
-#define ENCODER_FILTER_NS 200UL
+#define ENCODER_FILTER_NS 200UL /* an edge every 400 ns passes: a level then lasts for two of them, less tolerances */
 #endif
 #define ENCODER_FILTER_SAMPLES 4UL
 #ifndef TIME_STAMP_DIVIDER
@@ -274,9 +268,6 @@ SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32
 
 /* ---- encoder timers (DRM F10): A on input 0, B on input 1 of the module ----------------------------------------- */
 
-#define ENCODER_COUNTS (4 * (int32_t)ENCODER_LINES)
-#define SET_TMR0_COMP1 WORD(ENCODER_COUNTS - 1)
-#define SET_TMR0_COMP2 WORD(-(ENCODER_COUNTS - 1))
 #define SET_TMR0_LOAD 0U
 #define INPUT_A 0U
 #define INPUT_B 1U
@@ -301,11 +292,8 @@ SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32
 #define SET_TMR3_CSCTRL TMR_CSCTRL_ROC
 #define ENCODER_FILTER_PERIOD (CLOCKS_OF_NS(ENCODER_FILTER_NS) / ENCODER_FILTER_SAMPLES)
 #define SET_TMR_FILT (TMR_FILT_FILT_CNT(ENCODER_FILTER_SAMPLES - 3UL) | TMR_FILT_FILT_PER(ENCODER_FILTER_PERIOD))
-#define ENCODER_QUARTER_NS (60000000UL / ENCODER_SPEED_RPM * 1000UL / (uint32_t)ENCODER_COUNTS)
 
-SETTINGS_CHECK(encoder_counts_fit_the_timer, ENCODER_COUNTS >= 4L && ENCODER_COUNTS <= 0x7FFFL);
 SETTINGS_CHECK(encoder_filter_can_be_set, ENCODER_FILTER_PERIOD >= 1UL && ENCODER_FILTER_PERIOD <= 255UL);
-SETTINGS_CHECK(encoder_filter_passes_the_speed, 4UL * ENCODER_FILTER_NS <= ENCODER_QUARTER_NS);
 #define GAP_TIME_STAMPS (3UL * PWM_PERIOD / 2UL / TIME_STAMP_DIVIDER) /* between two M1: one is left out */
 
 SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(TIME_STAMP_DIVIDER));

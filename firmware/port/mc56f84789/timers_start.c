@@ -16,8 +16,6 @@ static void module_init(hal_t *hal, uint16_t axis)
     REG_WRITE(hal, timer_register(hal, axis, INPUT_A, TMR_FILT), SET_TMR_FILT);
     REG_WRITE(hal, timer_register(hal, axis, INPUT_B, TMR_FILT), SET_TMR_FILT);
 
-    REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_COMP1), SET_TMR0_COMP1);
-    REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_COMP2), SET_TMR0_COMP2);
     REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_LOAD), SET_TMR0_LOAD);
     REG_WRITE(hal, timer_register(hal, axis, TIMER_AGE, TMR_CSCTRL), SET_TMR3_CSCTRL);
     REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_SCTRL), SET_TMR_SCTRL_CAPTURE);
@@ -38,4 +36,11 @@ void timers_init(hal_t *hal)
         hal->axis[axis].armed = false;
         hal->axis[axis].arms = 0;
     }
+}
+
+void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period)
+{
+    REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_COMP1), (uint16_t)(period - 1U));
+    REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_COMP2), (uint16_t)(1U - (uint32_t)period));
+    REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_CNTR), 0U);
 }

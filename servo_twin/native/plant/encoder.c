@@ -6,8 +6,6 @@
 #include "plant/inline.h"
 #include "plant/trig.h"
 
-#define COMPARE_UP UINT16_C(3999)
-#define COMPARE_DOWN UINT16_C(0xF061) /* -3999 */
 #define AGE_OVERFLOW UINT32_C(0x10000)
 
 static int64_t edges_at(const plant_encoder_t *encoder, double theta)
@@ -48,9 +46,16 @@ static double time_to(const plant_movement_t *m, double theta)
     return (t < 0.0) ? 0.0 : (t > m->duration_ns) ? m->duration_ns : t;
 }
 
+/* Compare value in a direction. */
+static int16_t compare_of(const plant_encoder_t *encoder, bool upwards)
+{
+    const int32_t last = (int32_t)encoder->period - 1;
+    return (int16_t)(upwards ? last : -last);
+}
+
 static void count_one(plant_encoder_t *encoder, bool upwards)
 {
-    const uint16_t compare = upwards ? COMPARE_UP : COMPARE_DOWN;
+    const uint16_t compare = (uint16_t)compare_of(encoder, upwards);
     if (encoder->count == compare) {
         encoder->count = 0;
     } else {
@@ -171,7 +176,7 @@ static PLANT_NOINLINE void move_to(plant_encoder_t *encoder, int64_t target, con
         return;
     }
     const int64_t count = (int16_t)encoder->count + edges;
-    const int16_t compare = (int16_t)((edges > 0) ? COMPARE_UP : COMPARE_DOWN);
+    const int16_t compare = compare_of(encoder, edges > 0);
     const bool within = (edges > 0) ? count < compare : count > compare;
     if (within && encoder->connected[PLANT_LINE_A] && encoder->connected[PLANT_LINE_B]) {
         move_at_once(encoder, movement, reference_ns, edges);
@@ -237,6 +242,12 @@ void plant_encoder_restart(plant_encoder_t *encoder)
     encoder->oflag = false;
     encoder->armed = false;
     encoder->captured = false;
+}
+
+void plant_encoder_start(plant_encoder_t *encoder, uint16_t period)
+{
+    encoder->period = period;
+    encoder->count = 0;
 }
 
 void plant_encoder_arm(plant_encoder_t *encoder)

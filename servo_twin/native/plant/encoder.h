@@ -3,8 +3,8 @@
  * A leads B in positive direction; there are `lines` periods per turn and four edges per period, every other one on B.
  * The counter starts at 0 at any rotor angle: the firmware does not know the absolute angle.
  *
- *   TMRx0  counts every edge; reaching COMP1 = 3999 upwards or COMP2 = -3999 downwards is a compare match; the *next*
- *          count in the same direction loads 0.
+ *   TMRx0  counts every edge; reaching COMP1 = period - 1 upwards or COMP2 = 1 - period downwards is a compare match; the
+ *          *next* count in the same direction loads 0.
  *   OFLAG  set by the match, cleared by the next B edge. Its rising edge clocks TMRx2, so a shaft that reverses at the
  *          compare value gives an index pulse without a full turn.
  *   TMRx0/1 capture count and time on a B edge; the flag IEF blocks further captures until software clears it.
@@ -30,6 +30,7 @@ typedef struct {
     bool eccentric; /* the disc is eccentric */
     int64_t edge; /* edges passed since angle 0 */
     int64_t slipped; /* edges passed by a slip of the disc */
+    uint16_t period; /* counts from one reload of TMRx0 to the next, at most 32768 */
     uint16_t count; /* TMRx0 */
     uint16_t index; /* TMRx2 */
     bool oflag; /* output of TMRx0 */
@@ -91,6 +92,9 @@ void plant_encoder_reverse(plant_encoder_t *encoder, double theta);
 
 /* Reset of the timers. */
 void plant_encoder_restart(plant_encoder_t *encoder);
+
+/* Start TMRx0 at 0 with this period. */
+void plant_encoder_start(plant_encoder_t *encoder, uint16_t period);
 
 /* Arm the capture of the next edge on B. */
 void plant_encoder_arm(plant_encoder_t *encoder);

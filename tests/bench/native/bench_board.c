@@ -162,6 +162,12 @@ void hal_over_current_clear(hal_t *hal, uint16_t axis) { hal->axis[axis].tripped
 
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis) { return hal->axis[axis].count; }
 
+void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period)
+{
+    (void)period;
+    hal->axis[axis].count = 0;
+}
+
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count) { hal->axis[axis].count = count; }
 
 uint16_t hal_index_count(hal_t *hal, uint16_t axis) { return hal->axis[axis].index; }

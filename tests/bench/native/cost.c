@@ -109,7 +109,7 @@ static void put_into_observed_spin(axis_t *axis, frac32_t speed)
     bench_motor_t *motor = &hal.motor[axis->index];
     motor->speed = speed;
     const uint32_t turns =
-        (uint32_t)((int64_t)motor->angle * axis->config->encoder.pole_pairs * 65536 / axis->config->encoder.counts);
+        (uint32_t)((int64_t)motor->angle * axis->config->encoder.pole_pairs * 65536 / POSITION_PER_TURN);
     sensorless_estimate_start(axis, turns, pll_step_of(pll, speed));
     axis->estimate.locked = true;
     axis->feedback.speed = speed;

@@ -73,8 +73,8 @@ static uint16_t draw_code(run_t *run) { return (uint16_t)(draw(run) & 4095U); }
 
 static uint16_t draw_count(run_t *run, const encoder_config_t *config)
 {
-    const uint32_t span = 2U * (uint32_t)config->counts - 1U;
-    return (uint16_t)(draw(run) % span - (config->counts - UINT32_C(1)));
+    const uint32_t period = config->counts;
+    return (uint16_t)(draw(run) % (2U * period - 1U) - (period - 1U));
 }
 
 static gain_t draw_gain(run_t *run)
@@ -366,9 +366,10 @@ static encoder_config_t draw_encoder(run_t *run)
 {
     encoder_config_t config = draw_axis(run)->encoder;
     if ((draw(run) & 1U) != 0U) {
-        config.counts = (uint16_t)(4U * (25U + draw(run) % 7976U));
-        config.pole_pairs = (uint16_t)(1U + draw(run) % 12U);
-        config.angle_per_count = (uint32_t)((UINT64_C(1) << 32) / config.counts);
+        const uint16_t lines = (uint16_t)(100U + draw(run) % 16285U);
+        config.counts = (uint16_t)(((lines > 8192U) ? 2U : 4U) * lines);
+        config.pole_pairs = (uint16_t)(1U + draw(run) % 50U);
+        config.angle_per_count = (UINT32_C(1) << 30) / lines;
     }
     return config;
 }
@@ -378,13 +379,14 @@ static void encoder(run_t *run)
     const encoder_config_t any = draw_encoder(run);
     const encoder_config_t *config = &any;
     encoder_t state;
+    encoder_position_t position = {draw32(run), 0, encoder_lines(config)};
     uint16_t index = (uint16_t)draw(run);
     encoder_reset(&state, draw_count(run, config), index);
     for (uint16_t i = 0; i < STEPS; i++) {
         const uint16_t count = draw_count(run, config);
         const uint16_t before = draw_count(run, config);
         take(run, encoder_theta_m(config, count));
-        take(run, encoder_theta_e(config, count));
+        take(run, encoder_theta_e(&state, config, count));
         take(run, encoder_difference(config, count, before));
         take(run, encoder_count_at(config, draw16(run)));
         index = (uint16_t)(index + (draw(run) & 1U));
@@ -400,6 +402,9 @@ static void encoder(run_t *run)
         take(run, state.turns);
         take(run, state.count_init);
         take(run, (int32_t)state.pending);
+        encoder_position_add(&position, config, draw32(run));
+        take(run, position.whole);
+        take(run, encoder_position_part(&position, config));
     }
 }
 
@@ -431,12 +436,13 @@ static void observer(run_t *run)
 {
     const speed_observer_config_t *config = &draw_axis(run)->speed_observer;
     int32_t count = draw32(run);
-    speed_observer_t state;
-    speed_observer_reset(&state, config, count, draw32(run));
+    speed_observer_t state = {.half_count = INT32_C(1) << (SPEED_OBSERVER_BITS - 1)};
+    speed_observer_reset(&state, config, count, 0, draw32(run));
     for (uint16_t i = 0; i < STEPS; i++) {
         const uint32_t kind = draw(run);
         count = i32_add_wrap(count, asr32((int32_t)(kind % 4096U) - 2048, (unsigned)((kind >> 12) % 12U)));
-        take(run, speed_observer_step(&state, config, count, draw16(run)));
+        const int32_t part = asr32(draw32(run), 8);
+        take(run, speed_observer_step(&state, config, count, part, draw16(run)));
         take(run, state.offset);
         take(run, state.step);
         take(run, state.acceleration);

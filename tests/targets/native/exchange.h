@@ -36,6 +36,7 @@ typedef enum {
     OUT_DONE,    /* the fast loop has ended */
     OUT_ERASE,   /* sector */
     OUT_PROGRAM, /* word, value: low half, high half */
+    OUT_ENCODER_START, /* period */
 } out_t;
 
 #define EXCHANGE_IN_MAX 64

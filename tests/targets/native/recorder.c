@@ -283,6 +283,7 @@ void __real_hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair);
 void __real_hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c);
 void __real_hal_pwm_enable(hal_t *hal, uint16_t axis, bool on);
 void __real_hal_over_current_clear(hal_t *hal, uint16_t axis);
+void __real_hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period);
 void __real_hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 void __real_hal_capture_arm(hal_t *hal, uint16_t axis);
 bool __real_hal_serial_put(hal_t *hal, uint8_t byte);
@@ -508,6 +509,12 @@ void __wrap_hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
     out_head(&recorder.out, OUT_OVER_CURRENT_CLEAR, axis);
     __real_hal_over_current_clear(hal, axis);
+}
+
+void __wrap_hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period)
+{
+    out1(OUT_ENCODER_START, axis, period);
+    __real_hal_encoder_start(hal, axis, period);
 }
 
 void __wrap_hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count)

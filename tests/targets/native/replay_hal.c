@@ -72,6 +72,12 @@ uint16_t hal_encoder_count(hal_t *hal, uint16_t axis)
     return take(hal);
 }
 
+void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period)
+{
+    out_head(&hal->out, OUT_ENCODER_START, axis);
+    out_word(&hal->out, period);
+}
+
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count)
 {
     out_head(&hal->out, OUT_PRESET, axis);
