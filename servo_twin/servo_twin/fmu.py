@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
+from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.quantity import FINITE, Quantity
@@ -26,6 +27,7 @@ from servo_twin.board_memory import SimulationError
 from servo_twin.plant import AxisPlant, BusPlant, PinsPlant, PlantConfig, ranges
 
 MODEL: Final = "servo_board"
+_BOOT: Final = 0.03  # until the parameters of the firmware have their values [s]
 STEP: Final = 62.5e-6  # [s]
 
 _WRITTEN: Final = ("enable", "mode", "position", "speed", "i_q", "quick_stop", "clear_faults", "home")
@@ -106,20 +108,28 @@ class _Element:
     lsb: float
     unit: str
     text: str
-    writable: bool
+    causality: str  # input, parameter, output
+    start: float
     initial: bool  # written at the start
 
     def row(self) -> str:
-        flags = ", ".join(str(int(flag)) for flag in (self.signed, self.writable, self.initial))
-        return f'    {{"{self.name}", {self.address}u, {self.size}u, {self.lsb!r}, {flags}}},\n'
+        flags = ", ".join(str(int(flag)) for flag in (self.signed, self.causality != "output", self.initial))
+        return f'    {{"{self.name}", {self.address}u, {self.size}u, {self.lsb!r}, {self.start!r}, {flags}}},\n'
 
 
 def _elements(board: Board) -> Iterator[_Element]:
-    """Set-points that are inputs, then the variables of the snapshot."""
+    """Set-points that are inputs, parameters of the firmware, then the variables of the snapshot."""
     catalogue = board.catalogue
-    names = [_TIMEOUT, *(f"cmd.{name}" for name in _WRITTEN)]
-    for variable in [*(catalogue[name] for name in names), *catalogue.snapshot_variables()]:
+    inputs = [catalogue[_TIMEOUT], *(catalogue[f"cmd.{name}"] for name in _WRITTEN)]
+    tunable = [variable for variable in parameters(catalogue) if variable.name != _TIMEOUT]
+    snapshot = catalogue.snapshot_variables()
+    for variable, causality in [
+        *((one, "input") for one in inputs),
+        *((one, "parameter") for one in tunable),
+        *((one, "output") for one in snapshot),
+    ]:
         address = board.address(variable.name)
+        words = board.read_words(variable.name)
         for k in range(variable.count):
             yield _Element(
                 variable.name if variable.count == 1 else f"{axis_name(k)}.{variable.name}",
@@ -129,7 +139,8 @@ def _elements(board: Board) -> Iterator[_Element]:
                 float(variable.lsb),
                 variable.unit,
                 variable.text,
-                variable.name in names,
+                causality,
+                words[k] * float(variable.lsb) if causality == "parameter" else 0.0,
                 variable.name == _TIMEOUT,
             )
 
@@ -211,7 +222,7 @@ def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], token: 
     return (
         f'#define INSTANTIATION_TOKEN "{token}"\n#define EXPORT_TOKEN UINT64_C(0x{token[:16]})\n\n'
         "typedef struct {\n    const char *name;\n    uint32_t address;\n    uint16_t size; /* [bytes] */\n"
-        "    double lsb;\n"
+        "    double lsb, start;\n"
         "    bool is_signed, writable, initial;\n} firmware_value_t;\n\n"
         f"static const firmware_value_t firmware_values[] = {{\n{''.join(e.row() for e in elements)}}};\n\n"
         "typedef struct {\n    const char *name;\n    double minimum, maximum;\n    bool whole;\n} range_t;\n\n"
@@ -237,8 +248,8 @@ def _variables(plant: PlantConfig, elements: Sequence[_Element]) -> Iterator[_Va
     index = reference("input", AXES * len(inputs))
     yield _Variable("supply.u_source", index, "input", "V", "open-circuit voltage of the supply", plant.bus.u_source)
     for k, e in enumerate(elements):
-        causality = "input" if e.writable else "output"
-        yield _Variable(e.name, reference("firmware", k), causality, e.unit, e.text, 0.0 if e.writable else None)
+        given = None if e.causality == "output" else e.start
+        yield _Variable(e.name, reference("firmware", k), e.causality, e.unit, e.text, given)
     for axis in range(AXES):
         for k, (name, unit, text) in enumerate(_members("board_truth_t")):
             index = reference("truth", k, axis)
@@ -283,7 +294,8 @@ def _description(variables: Sequence[_Variable], token: str) -> bytes:
     ET.SubElement(listed, "Float64", name="time", valueReference="0", causality="independent", variability="continuous")
     for v in variables:
         attributes = {"name": v.name, "valueReference": str(v.reference), "causality": v.causality}
-        attributes["variability"] = "fixed" if v.causality == "parameter" else "discrete"
+        fixed = v.name.startswith("plant.")
+        attributes["variability"] = "fixed" if fixed else "tunable" if v.causality == "parameter" else "discrete"
         if v.unit in _UNITS:
             attributes["unit"] = v.unit
         for bound, value in (("min", v.valid.minimum), ("max", v.valid.maximum)):
@@ -337,6 +349,7 @@ def export_fmu(path: Path, plant: PlantConfig | None = None, seed: int = 1) -> N
     """
     plant = (plant or PlantConfig.load()).drawn(seed)
     with Board(plant, seed=seed, level="ideal") as board:
+        board.run(_BOOT)
         elements = list(_elements(board))
     files, headers = board_files([*IDEAL, NATIVE / "fmu" / "fmu.c"])
     with tempfile.TemporaryDirectory() as name:

@@ -184,6 +184,8 @@ def test_another_importer_gets_the_same_bits(
 
 def test_parameters_are_the_plant(fmu: Instance) -> None:
     assert fmu.get("plant.axis1.friction") == 3e-3
+    assert fmu.get("axis2.param.i_q_limit") == pytest.approx(4.0, abs=1e-3)
+    fmu.set("axis2.param.i_q_limit", 1.0)
     fmu.set("plant.axis2.theta_start", 1.25)
     for name, value in (
         ("axis1.r_s", 0.0),
@@ -198,6 +200,15 @@ def test_parameters_are_the_plant(fmu: Instance) -> None:
     fmu.set("plant.axis1.home_to", math.inf)
     fmu.start()
     assert fmu.get("truth.axis2.theta_m") == 1.25
+    fmu.set("axis2.cmd.enable", 1.0)
+    fmu.set("axis2.cmd.mode", 1.0)
+    fmu.step(9600)
+    fmu.set("axis2.cmd.speed", 300.0)
+    fmu.step(480)
+    assert fmu.get("axis2.i_q_ref") == pytest.approx(1.0, abs=0.01)
+    with pytest.raises(Exception, match="fmi3"):
+        fmu.set("axis2.param.i_q_limit", 100.0)
+    assert "axis2.param.i_q_limit: the firmware refuses the value" in fmu.messages[-1]
 
 
 def test_step_back_and_another_instance_continue_with_the_same_bits(

@@ -84,6 +84,7 @@ static void reset(instance_t *fmu)
     }
     for (size_t k = 0; k < FIRMWARE_VALUES; k++) {
         fmu->data.written[k] = firmware_values[k].initial;
+        fmu->data.firmware[k] = firmware_values[k].start;
     }
 }
 
