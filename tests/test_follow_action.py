@@ -16,21 +16,51 @@ from interface_build import action_environment
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 CLIENT = Path(__file__).with_name("follow_action_client.py")
-Answers = dict[str, dict[str, Any]]
+
+
+class Answers:
+    """Results of the client by case, as it prints them: a test waits for its own case only.
+
+    Parameters
+    ----------
+    process : Popen
+        The client; every step has a time-out.
+    errors : Path
+        Its standard error.
+    """
+
+    def __init__(self, process: subprocess.Popen[str], errors: Path) -> None:
+        self._process, self._errors = process, errors
+        self._found: dict[str, dict[str, Any]] = {}
+
+    def __getitem__(self, case: str) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        while case not in self._found:
+            line = self._process.stdout.readline()
+            assert line, f"{list(self._found)}\n{self._errors.read_text()[-4000:]}"
+            if line.startswith("{"):
+                answer = json.loads(line)
+                self._found[answer["case"]] = answer
+        return self._found[case]
 
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
-    """Results of the client, by case."""
-    chain = Chain(tmp_path_factory.mktemp("action"), FAST_BAUD, action_environment(), "ideal")
+    folder = tmp_path_factory.mktemp("action")
+    chain = Chain(folder, FAST_BAUD, action_environment(), "ideal")
     try:
         chain.board()
         chain.bridge()
-        command = [sys.executable, str(CLIENT)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=110.0, env=chain.environment)
-        found = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-        assert done.returncode == 0, f"{found}\n{done.stderr[-4000:]}"
-        yield {answer["case"]: answer for answer in found}
+        with (
+            (folder / "errors").open("w") as errors,
+            subprocess.Popen(
+                [sys.executable, str(CLIENT)], stdout=subprocess.PIPE, stderr=errors, text=True, env=chain.environment
+            ) as client,
+        ):
+            try:
+                yield Answers(client, folder / "errors")
+            finally:
+                client.kill()
     finally:
         chain.end()
         print(chain.logs())

@@ -354,7 +354,7 @@ class TestProgram:
             out, err = process.communicate(timeout=TIMEOUT_S)
             assert process.returncode == 0
             assert "stopped after" in out
-            assert err == ""
+            assert all("the machine is too slow" in line for line in err.splitlines()), err
         assert not link.is_symlink()
 
     def test_the_line_has_the_requested_baud_rate(self, tmp_path: Path) -> None:
