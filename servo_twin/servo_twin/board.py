@@ -245,6 +245,7 @@ class Board:
         config.flash = config.servo = self._ffi.NULL
         self._config = config
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
+        self._truth = self._ffi.new("board_truth_t *")
         self._own_memory = BoardMemory(self._ffi, self._lib, self._handle)
         self._dtype: np.dtype[np.void] | None = None
         self._injected: list[InjectedFault] = []
@@ -618,9 +619,15 @@ class Board:
 
     def truth(self, axis: int) -> Truth:
         """True state of the plant of an axis (index 0 or 1)."""
-        truth = self._ffi.new("board_truth_t *")
-        self._lib.board_truth(self._board, _axis_index(axis), truth)
-        return Truth._make(_truth_values(truth))
+        return Truth._make(_truth_values(self._read_truth(axis)))
+
+    def impulse(self, axis: int) -> float:
+        """`Truth.impulse_e` alone [N m s]: a coupled simulator reads it twice in every step."""
+        return float(self._read_truth(axis).impulse_e)
+
+    def _read_truth(self, axis: int) -> Any:
+        self._lib.board_truth(self._board, _axis_index(axis), self._truth)
+        return self._truth
 
     def stats(self) -> BoardStats:
         """Counters of the chip."""

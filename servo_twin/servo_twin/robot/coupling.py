@@ -236,14 +236,14 @@ class RobotDrives:
 
     def _mean_torques(self) -> _Array:
         """Let the boards follow the motion of the model; mean torque of each motor since the previous step [N m]."""
-        before = [board.truth(axis).impulse_e for board, axis in self._where]
+        before = [board.impulse(axis) for board, axis in self._where]
         speeds, angles = self.speeds(), self.lengths() + self._offset
         ends = {board: (board.time_ns // self.step_ns + 1) * self.step_ns for board in self.boards}
         for (board, axis), angle, speed in zip(self._where, angles.tolist(), speeds.tolist(), strict=True):
             board.drive_shaft(axis, angle, speed, (ends[board] - board.time_ns) * 1e-9)
         for board, end_ns in ends.items():
             board.advance(end_ns)
-        after = [board.truth(axis).impulse_e for board, axis in self._where]
+        after = [board.impulse(axis) for board, axis in self._where]
         return np.subtract(after, before) / (self.step_ns * 1e-9)
 
     def _command(self) -> None:
