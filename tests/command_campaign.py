@@ -1,7 +1,7 @@
 """Every sequence of four events (`command_sequences`), by hand; the tests run a small sample.
 
-    .venv/bin/python tests/command_campaign.py --processes 2            # 14641 sequences
-    .venv/bin/python tests/command_campaign.py --first 14641            # the same events with other values
+    .venv/bin/python tests/command_campaign.py --processes 2            # 20736 sequences
+    .venv/bin/python tests/command_campaign.py --first 20736            # the same events with other values
     .venv/bin/python tests/command_campaign.py --first 800 --minutes 30 # from 800 on, as many as there is time for
     .venv/bin/python tests/command_campaign.py --show 1234              # one of them, with the log of the bridge
 

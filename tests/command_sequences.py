@@ -51,6 +51,7 @@ EVENTS: Final = (
     "goal",
     "cancel",
     "move",
+    "stall",
 )
 
 _JOINTS: Final = ("axis1", "axis2")
@@ -114,7 +115,7 @@ class Setup:
 class Step:
     """An event of a sequence."""
 
-    event: str  # of `EVENTS`, or "stall", "stranger"
+    event: str  # of `EVENTS`, or "stranger"
     pause: float = 0.7  # until the next event [s]
     controller: Kind = "trajectory"  # activate, deactivate: the controller; empty: only the hardware
     second: Kind = "trajectory"  # activate: the controller of the second joint, if it has its own
@@ -122,7 +123,7 @@ class Step:
     restart: bool = False  # activate: in a new process of the controller_manager
     setup: Setup | None = None  # of this process; None: that of the sequence
     distance: float = 1.0  # goal, move: from the place of the joint [rad]; the second joint moves the other way
-    time: float = 0.6  # goal, move [s]
+    time: float = 0.6  # goal, move, stall [s]
     velocities: bool = False  # goal: with velocity 0 at its end
     topic: Literal["path", "position"] = "path"  # move: a path, or a position of each joint
 
