@@ -402,7 +402,7 @@ static void encoder(run_t *run)
         take(run, state.turns);
         take(run, state.count_init);
         take(run, (int32_t)state.pending);
-        encoder_position_add(&position, config, draw32(run));
+        encoder_position_add(&position, config, draw16(run));
         take(run, position.whole);
         take(run, encoder_position_part(&position, config));
     }
