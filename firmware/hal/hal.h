@@ -51,7 +51,7 @@ adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis);
 /* Codes sampled at the high-side centre of `axis` (amplifier offsets: no current in the shunts). */
 adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis);
 
-/* Newest code of the bus divider (36.3 V full scale, DRM E46). */
+/* Newest code of the bus divider (DRM E46). */
 uint16_t hal_adc_bus(hal_t *hal);
 
 /* Newest code of the temperature sensor on the heat sink of `axis`. */

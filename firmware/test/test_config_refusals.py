@@ -192,6 +192,7 @@ TOGETHER = [
     case("board.under_voltage = 25", "nominal_voltage = 24 V"),
     case("board.nominal_voltage = 33", "over_voltage = 33 V"),
     case("board.over_voltage = 36.3", "36.3 V"),
+    case("board.nominal_voltage = 48", "36.3 V, the largest bus voltage of the board mc56f84789"),
     case("board.dead_time = 4e-05", "period"),
     # fixed by the contract
     case("axis1.limits.speed (in [defaults.limits]) = 314", "239.7 rad/s", defaults__encoder__lines=16384),

@@ -30,7 +30,7 @@ SPEED_RATIO: Final = 1.3
 ACCELERATION_USE: Final = 0.5
 """Current for the speed ramp, relative to the current limit."""
 
-SUPPLY_END: Final = BUS_END * 36.3
+SUPPLY_END: Final = BUS_END * Catalogue.load().full_scale("bus_voltage")
 """Largest bus voltage that the converter of the board can measure [V]."""
 
 PATH_OMEGA_MAX: Final = 0.2

@@ -248,10 +248,7 @@ class Catalogue:
     @classmethod
     def parse(cls, table: Mapping[str, Any]) -> Catalogue:
         """Build a catalogue from the parsed table; see `load`."""
-        scales = {
-            name: Scale(name, entry["unit"], entry.get("full_scale"), entry.get("lsb"))
-            for name, entry in table.get("scales", {}).items()
-        }
+        scales = _scales(table.get("scales", {}))
         enums = {name: dict(entries) for name, entries in table.get("enums", {}).items()}
         flags = {
             name: tuple(
@@ -314,6 +311,33 @@ def _read(source: Path) -> Catalogue:
         return Catalogue.parse(read_toml(source))
     except (CatalogueError, TextFileError) as error:
         raise CatalogueError(f"{source}: {error}") from None
+
+
+@lru_cache(maxsize=1)
+def board_description() -> Mapping[str, Any]:
+    """The packaged ``board.toml``: name and ranges of the board."""
+    return read_toml(Path(__file__).with_name("board.toml"))
+
+
+def _scales(table: Mapping[str, Mapping[str, Any]]) -> dict[str, Scale]:
+    """Scales in their order: numbers, ranges of the board, and multiples of earlier scales."""
+    scales: dict[str, Scale] = {}
+
+    def full(name: str) -> float:
+        if name not in scales or (value := scales[name].full_scale) is None:
+            raise CatalogueError(f"{name} is no earlier scale with a full scale")
+        return value
+
+    for name, entry in table.items():
+        full_scale, lsb = entry.get("full_scale"), entry.get("lsb")
+        if "range" in entry:
+            full_scale = board_description()["ranges"][entry["range"]]
+        elif "of" in entry:
+            times, divisor = entry.get("ratio", (1, 1))
+            value = full(entry["of"]) * times / divisor / (full(entry["over"]) if "over" in entry else 1.0)
+            full_scale, lsb = (None, math.ldexp(value, -entry["bits"])) if "bits" in entry else (value, None)
+        scales[name] = Scale(name, entry["unit"], full_scale, lsb)
+    return scales
 
 
 def _expand(table: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ import itertools
 import math
 from typing import Final
 
-from servo_msgs_py.catalogue import Catalogue, Variable
+from servo_msgs_py.catalogue import Catalogue, Variable, board_description
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
@@ -65,14 +65,16 @@ def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
     for key, expected in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
         if board(key) != expected:
             raise board.refused(key, "fixed by the firmware", exactly(f"board.{key}", float(expected)))
+    for key in ("nominal_voltage", "over_voltage"):
+        if board(key) >= scales.u_dc:
+            name = board_description()["name"]
+            reason = f"not below {scales.u_dc:g} V, the largest bus voltage of the board {name}"
+            raise board.refused(key, reason, lower(f"board.{key}"))
     order = ("under_voltage", "nominal_voltage", "over_voltage")
     for below, above in itertools.pairwise(order):
         if board(below) >= board(above):
             reason = f"not below {above} = {board(above):g} V"
             raise board.refused(below, reason, lower(f"board.{below}"), higher(f"board.{above}"))
-    if board("over_voltage") >= scales.u_dc:
-        reason = f"not below the ADC range of {scales.u_dc:g} V"
-        raise board.refused("over_voltage", reason, lower("board.over_voltage"))
     if board("dead_time") >= 0.5 * board.period:
         reason = f"two dead times fill the PWM period of {board.period:g} s"
         raise board.refused("dead_time", reason, lower("board.dead_time"))

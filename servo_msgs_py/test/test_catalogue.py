@@ -82,6 +82,22 @@ def test_bus_voltage_is_scaled_as_in_the_reference_design() -> None:
     assert CATALOGUE["u_dc"].decode((21665).to_bytes(2, "little")) == pytest.approx(24.0, abs=1e-3)
 
 
+def test_scales_follow_from_the_ranges_of_the_board() -> None:
+    """The full scales of the reference design, and multiples of them to the last bit."""
+    full = CATALOGUE.full_scale
+    assert (full("bus_voltage"), full("stator_voltage"), full("current")) == (36.3, 24.2, 8.25)
+    assert CATALOGUE.scales["integrated_voltage"].lsb == 24.2 / 2**23
+    assert CATALOGUE.scales["observed_voltage"].lsb == 24.2 / 2**26
+    assert CATALOGUE.scales["current_per_acceleration"].lsb == 8.25 / full("acceleration") / 2**16
+
+
+@pytest.mark.parametrize("entry", [{"of": "missing"}, {"of": "turn"}, {"of": "volt", "over": "turn"}])
+def test_a_multiple_of_no_full_scale_is_refused(entry: dict[str, Any]) -> None:
+    scales = SMALL["scales"] | {"other": {"unit": "V", **entry}}
+    with pytest.raises(CatalogueError, match="is no earlier scale with a full scale"):
+        Catalogue.parse(SMALL | {"scales": scales})
+
+
 def test_one_revolution_has_4000_counts() -> None:
     assert CATALOGUE["cmd.position"].encode([2.0 * math.pi, -2.0 * math.pi]) == (4000).to_bytes(4, "little") + (
         -4000

@@ -38,7 +38,7 @@ FILTER_DELAY: Final = 1.5e-3  # filter of the bus voltage, slow tick [s]
 MARGIN: Final = 0.2  # noise and PWM ripple of the voltage [V]
 CURRENT: Final = 4.0  # current limit of the drive [A]
 BUDGET_SUPPLY: Final = 30.0  # supply above ON [V]
-SHORT_LIMIT: Final = 8.25  # permitted current of a winding short: range of the shunts [A]
+SHORT_LIMIT: Final = Catalogue.load().full_scale("current")  # of a winding short: range of the shunts [A]
 SLIDE_SPEED: Final = 1450.0 * RPM  # speed above which the short is refused, according to the slide
 INERTIA_FACTOR: Final = (
     8.0  # factor of the inertia, for a slow deceleration compared with the time constant of the winding

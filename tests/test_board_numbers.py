@@ -1,0 +1,40 @@
+"""Numbers of the board are stated once, in ``board.toml``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from servo_msgs_py.catalogue import Catalogue, board_description
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+FOLDERS: Final = (
+    *("firmware", "servo_msgs_py/servo_msgs_py", "servo_msgs_py/servo_tuning", "servo_msgs_py/servo_measurement"),
+    *("servo_bridge/servo_bridge", "servo_twin/servo_twin", "servo_twin/native"),
+)
+STATED: Final = {
+    "servo_msgs_py/servo_msgs_py/board.toml",
+    "servo_twin/servo_twin/plant.toml",  # the virtual board, which may differ from the real one
+    "firmware/config/servo.toml",  # stop.short_current, a choice that happens to be the range of the shunts
+}
+COMMENT: Final = re.compile(r'/\*.*?\*/|#[^\n]*|"""[\s\S]*?"""', re.DOTALL)
+
+
+def sources() -> Iterator[Path]:
+    for folder in FOLDERS:
+        for path in sorted((ROOT / folder).rglob("*")):
+            if path.suffix in (".py", ".c", ".h", ".toml") and not {"test", "build"} & set(path.parts):
+                yield path
+
+
+def test_no_source_repeats_a_range_of_the_board() -> None:
+    numbers = [*board_description()["ranges"].values(), Catalogue.load().full_scale("stator_voltage")]
+    number = re.compile("|".join(rf"(?<![\d.]){re.escape(f'{one:g}')}(?![\d])" for one in numbers))
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for path in sources()
+        if number.search(COMMENT.sub("", path.read_text(encoding="utf-8")))
+    }
+    assert found == STATED
