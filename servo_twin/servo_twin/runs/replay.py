@@ -347,6 +347,7 @@ class Replay:
                 result.notes.append(f"{at(stretch.last)}: {stretch.end}")
         if not result.stretches and self._twin.status:
             result.notes.append(f"nothing could be replayed: {self._twin.status}")
+        result.notes = list(dict.fromkeys(result.notes))  # reading and replay find the same damage
         return result
 
     def _gaps(self) -> list[str]:
