@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from servo_bridge.client import CommandError
 from servo_bridge.demo import Demo
 from servo_bridge.demo_client import ServoClient
-from servo_bridge.demo_report import Residual, Row, passed
+from servo_bridge.demo_report import passed
 from servo_bridge.trajectory.path import Path as Motion
-from servo_measurement.step_response import StepFigures
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
 
@@ -295,12 +294,6 @@ def test_set_point_that_is_not_applied_is_reported() -> None:
     client.ignores_commands = True
     with pytest.raises(CommandError, match=r"no cmd\.position took effect"):
         run(client)
-
-
-# ---- report
-def row(arrived: bool = True, residual: Residual | None = None) -> Row:
-    figures = StepFigures(5 * TURN, 5 * TURN + COUNT, COUNT, 0.5 if arrived else None, 2 * COUNT, 0.1, 0.2, arrived)
-    return Row("point to point", "axis1", figures, residual)
 
 
 # ---- command line
