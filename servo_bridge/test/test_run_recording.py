@@ -129,7 +129,12 @@ def test_a_run_is_recorded_whole(tmp_path: Path) -> None:
         command = JointState(name=["axis1"], velocity=[1.0])
         rig.joint_commands.publish(command)
         rig.until(rig.accepted)
-        rig.link.sample()
+
+        def applied() -> bool:
+            rig.link.sample()
+            return any(one.variable == "cmd.speed" for one in rig.applied())
+
+        rig.until(applied)
         assert rig.enable(False)[0]
         rig.diagnosis("run recording")
         rig.until(lambda: twin.count_subscribers(topics.STATE) > 0)
