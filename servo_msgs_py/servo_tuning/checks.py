@@ -24,7 +24,7 @@ RANGE_USE: Final = 0.8
 LOST_VOLTAGE_TIME: Final = 2.1e-3
 """Time until a speed loop of 75 Hz answers [s]."""
 LOST_VOLTAGE_COUNTS_MAX: Final = 25.0
-"""Largest movement of a shaft by dead time and switch drops. Of 12 random motors on the switching plant with 32 and
+"""Largest movement of a shaft by dead time and switch drops. Of 12 random motors on the switching plant with 26 and
 more, 11 oscillated by 10 .. 900 counts or had a fault; of 10 with less, three did."""
 
 COUNT_TIME_MIN: Final = 400e-9
