@@ -32,7 +32,7 @@ def tuning(rig: Rig) -> None:
     scaled(rig, {0: {**defaults, "torque_constant": 0.95, "stop_ticks_max": 1.1}, 1: {"u_dc_max": 0.99}})
     scaled(rig, {0: dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit"), 1.1)})
     block = read_block(rig, 1)
-    send_block(rig, 1, block | {"feedback": 1})
+    send_block(rig, 1, block | {"feedback": 1, "encoder.counts": 8000, "encoder.angle_per_count": 2**29 // 1000})
     take_blocks(rig, [1])
     send_block(rig, 1, block)
     take_blocks(rig, [1])
