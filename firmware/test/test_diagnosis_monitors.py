@@ -749,9 +749,9 @@ def wave(frequency: float, amplitude: float, ticks: int, noise: float = 0.0) -> 
 def test_a_sustained_oscillation_is_found_in_time_with_its_frequency(
     rig: Diagnosis, frequency: float, amplitude: float, noise: float
 ) -> None:
-    """Also if it is limited, or if its noise is larger than the smallest swing that counts."""
+    """Also if it is limited, or with noise. The first swings have no previous one and may be counted anew."""
     found = [k for k, x in enumerate(wave(frequency, amplitude, 1000, noise)) if rig.oscillation(x)]
-    assert 499 <= found[0] <= 499 + 3 * 20
+    assert 499 <= found[0] <= 499 + 4 * 20
     assert rig.monitors.oscillation.frequency == pytest.approx(frequency, rel=0.03, abs=1.0)
 
 
