@@ -308,7 +308,7 @@ def test_a_minimum_speed_within_the_dead_time_error_causes_a_warning() -> None:
     ]
     assert len(found) == 1
     part = 43.75 / it.axis("limits.speed") / 0.68
-    assert f"speed error of 43.7 rad/s, sensorless; write {part:.2g}" in found[0]
+    assert f"speed error of 43.7 rad/s, sensorless; write axis1.start_up.minimum_speed = {part:.2g} and" in found[0]
     cured = axis(**BLIND, axis1__start_up__minimum_speed=part, axis1__start_up__speed_final=0.4)
     assert not any("minimum_speed" in finding for finding in map(str, findings(cured, assess(cured))))
 
