@@ -32,6 +32,8 @@ NOT_ON_A_TARGET = {
     # All commands of this application are completed at the first request.
     "freemaster_finish_command",
     "app_command_finish",
+    # The flash of a target is erased at the start of a run.
+    "has_layout_1",
     # DRM 4.5 lists the transition, but no flag causes it.
     "stop_init",
     # A wait of 25 s is too long for a recording.

@@ -85,10 +85,10 @@ static bool is_erased(hal_t *hal, uint16_t copy)
 static uint16_t head_of(hal_t *hal, uint16_t copy)
 {
     const uint32_t format = read_word(hal, copy, WORD_FORMAT);
-    if (format == FORMAT_1) {
-        return FORMAT_1_HEAD;
+    if (format == STORED_FORMAT) {
+        return STORED_HEAD;
     }
-    return (format == STORED_FORMAT) ? STORED_HEAD : 0U;
+    return (format == FORMAT_1) ? FORMAT_1_HEAD : 0U;
 }
 
 /* True if the checksum of the copy is valid, for any layout. */
@@ -105,15 +105,19 @@ static bool is_sealed(hal_t *hal, uint16_t copy)
     return read_word(hal, copy, (uint16_t)(length - 1U)) == crc32_end(crc);
 }
 
+/* True if the numbers of format 1 are those of the present layout. */
+static bool has_layout_1(hal_t *hal, uint16_t copy)
+{
+    return STORED_LAYOUT == FORMAT_1_LAYOUT && read_word(hal, copy, WORD_LAYOUT) == FORMAT_1_PARAMETERS &&
+           read_word(hal, copy, WORD_LAYOUT + 1U) == FORMAT_1_MEMBERS;
+}
+
 static bool has_layout(hal_t *hal, uint16_t copy)
 {
     const uint16_t head = head_of(hal, copy);
-    uint32_t layout = read_word(hal, copy, WORD_LAYOUT);
-    if (head == FORMAT_1_HEAD) {
-        const bool last = layout == FORMAT_1_PARAMETERS && read_word(hal, copy, FORMAT_1_HEAD - 1U) == FORMAT_1_MEMBERS;
-        layout = last ? FORMAT_1_LAYOUT : ~STORED_LAYOUT;
-    }
-    return layout == STORED_LAYOUT && read_word(hal, copy, WORD_LENGTH) == head + STORED_NUMBERS + 1U;
+    const bool known =
+        (head == FORMAT_1_HEAD) ? has_layout_1(hal, copy) : read_word(hal, copy, WORD_LAYOUT) == STORED_LAYOUT;
+    return known && read_word(hal, copy, WORD_LENGTH) == head + STORED_NUMBERS + 1U;
 }
 
 stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *values, uint32_t *sequence)

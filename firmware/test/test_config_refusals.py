@@ -64,7 +64,7 @@ def test_invalid_value_of_an_entry_is_refused(name: str, entry: Quantity) -> Non
     if entry.minimum > 0.0:
         wrong.append((0.0, "too small"))
     if entry.whole:
-        wrong.append((2.5, "not a whole number"))
+        wrong.append((entry.minimum + 0.5, "not a whole number"))
     if entry.maximum < VALUE_MAX:
         wrong.append((entry.maximum * 1.001 if not entry.whole else entry.maximum + 1.0, "too large"))
     for value, reason in wrong:

@@ -82,7 +82,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Quantity]]] = {
         "rated_speed": _entry("rad/s", "rated speed of the data sheet"),
         "rated_current": _entry("A", "rated current of the data sheet, peak"),
     },
-    "encoder": {"lines": _entry("", "lines per turn", whole=True)},
+    "encoder": {"lines": _entry("", "lines per turn", whole=True, minimum=100, maximum=16384)},
     "friction": {
         "coulomb": _entry("N m", "Coulomb friction", minimum=0.0),
         "viscous": _entry("N m s", "viscous friction", minimum=0.0),
