@@ -508,7 +508,7 @@ static void judge_oscillation(axis_t *axis)
         oscillation_monitor_restart(monitor);
         return;
     }
-    const frac16_t swing = axis->config->i_q_limit / 8;
+    const frac16_t swing = axis->config->i_q_limit / 16;
     if (oscillation_monitor_step(monitor, swing, axis->current_loop.current.q)) {
         calm(axis);
     }
