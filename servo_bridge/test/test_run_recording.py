@@ -149,8 +149,8 @@ def test_a_run_is_recorded_whole(tmp_path: Path) -> None:
         found = recorded(path, f"/servo/{topic}", kind)
         first = rig.messages[topic].index(found[0])
         assert found == rig.messages[topic][first : first + len(found)]
-    applied = map(applied_from_message, recorded(path, "/servo/commands_applied", Int64MultiArray))
-    assert {"cmd.mode", "cmd.speed", "cmd.enable"} <= {each.variable for each in applied}
+    commands = map(applied_from_message, recorded(path, "/servo/commands_applied", Int64MultiArray))
+    assert {"cmd.mode", "cmd.speed", "cmd.enable"} <= {each.variable for each in commands}
     assert recorded(path, "/servo/joint_commands", JointState)[0] == command
     assert recorded(path, "/servo/state", String)[0].data == "axis1=RUN/SPIN axis2=RUN/SPIN"
     assert recorded(path, "/twin/state", String)[0].data == "following"

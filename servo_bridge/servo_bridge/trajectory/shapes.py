@@ -13,16 +13,13 @@ from servo_bridge.trajectory.check import Limits, first_violation
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import DEGREE, Path, State
 from servo_bridge.trajectory.spline import path_through
-from servo_bridge.trajectory.waypoints import Array, Waypoints
+from servo_bridge.trajectory.waypoints import DURATION_MAX, Array, Waypoints
 
 _SHORTEST = 2.0e-3
 """Shortest motion [s]: two of the shortest segments of the board."""
 
 _SHORTEST_STOP = 0.02
 """Shortest stop [s]: in a shorter one, rounding to PWM periods adds more acceleration than `_RESERVE` permits."""
-
-_LONGEST = 1.0e6
-"""Longest motion that is tried [s]."""
 
 _RESERVE = 0.95
 """Fraction of the acceleration limit used by motions of the shortest duration; the remainder is for the interpolation
@@ -219,7 +216,7 @@ def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits], shorte
     slow = shortest
     while (violation := first_violation(in_time(slow), limits)) is not None:
         slow *= 2.0
-        if slow > _LONGEST:
+        if slow > DURATION_MAX:
             raise TrajectoryError(f"no duration is long enough: {violation}")
     fast = max(0.5 * slow, shortest)
     while slow > 1.001 * fast:
