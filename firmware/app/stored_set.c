@@ -14,7 +14,7 @@ enum { WORD_FORMAT, WORD_LENGTH, WORD_SEQUENCE, WORD_LAYOUT };
 #define FORMAT_1 UINT32_C(0x31535653)
 #define FORMAT_1_PARAMETERS UINT32_C(0xC4DA1EDC)
 #define FORMAT_1_MEMBERS UINT32_C(0x23554EBA)
-#define FORMAT_1_LAYOUT UINT32_C(0xFD6F0BEC)
+#define FORMAT_1_LAYOUT UINT32_C(0xBA26E999)
 #define FORMAT_1_HEAD 5U
 
 /* ---- numbers of a set ----------------------------------------------------------------------------------------------- */

@@ -115,8 +115,6 @@ typedef struct {
     frac32_t shaped_speed; /* speed of the path or of the ramp in this tick, Q1.31 of full-scale speed */
     frac32_t acceleration; /* change of the shaped speed in this tick, Q1.31 of full-scale speed */
     pi_state_t speed_pi;
-    uint16_t gain_shift; /* gains of speed and position control divided by 2^gain_shift against an oscillation */
-    bool forced; /* an oscillation since the start that the gains did not change: the load forces it */
     frac32_t speed_ref; /* set-point of the speed controller, Q1.31 of full-scale speed */
     frac32_t speed_test_signal; /* test signal added to `speed_ref`, Q1.31 of full-scale speed */
     bool saturated; /* the output of the speed controller is at its limit */

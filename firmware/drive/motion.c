@@ -40,7 +40,7 @@ static void begin(axis_t *axis, motion_t motion)
  * without speed feed-forward it needs an error to command a speed. */
 static int32_t lag_of(const axis_t *axis, frac32_t speed)
 {
-    return axis->motion.path_forward ? 0 : speed / axis->motion.position_gain;
+    return axis->motion.path_forward ? 0 : speed / axis->config->position_gain;
 }
 
 static void start_path(axis_t *axis, int32_t target, frac32_t speed)
@@ -460,7 +460,6 @@ void motion_start(axis_t *axis)
 {
     axis->motion = (motion_state_t){.position_gain = axis->config->position_gain};
     axis->diagnosis.shaft = (shaft_monitor_t){0};
-    axis->diagnosis.oscillation = (oscillation_monitor_t){0};
     limits_renew(axis);
     hold(axis);
 }
@@ -517,8 +516,7 @@ bool motion_too_slow(const axis_t *axis)
 static void follow_gain(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    const int32_t gain = asr32(axis->config->position_gain, m->gain_shift);
-    const int32_t change = ((gain != 0) ? gain : 1) - m->position_gain;
+    const int32_t change = axis->config->position_gain - m->position_gain;
     if (change != 0) {
         const int32_t part = change / GAIN_TICKS;
         m->position_gain += (part != 0) ? part : change;

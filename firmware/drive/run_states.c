@@ -14,13 +14,10 @@
 #include "drive/run_step.h"
 #include "drive/sensorless_estimate.h"
 #include "drive/sensorless_startup.h"
-#include "drive/speed_control.h"
 #include "drive/stop.h"
 #include "drive/test_mode.h"
 #include "math/divide.h"
 #include "sensing/rotor_hold.h"
-
-#define GAIN_SHIFT_MAX 3U /* an eighth of the gains */
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
 
@@ -464,9 +461,6 @@ static void spin_slow(axis_t *axis)
         axis_report(axis, LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
-    if (axis->motion.gain_shift != 0U || axis->motion.forced) {
-        axis_report(axis, LIMIT_OSCILLATION);
-    }
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
         bring_to_rest(axis);
     }
@@ -484,36 +478,6 @@ static void spin_estimate(axis_t *axis)
     }
 }
 
-/* Reduce the gains. An oscillation that remains is forced by the load, e.g. by cogging: the full gains oppose it best. A
- * large one stops the axis. */
-static void calm(axis_t *axis)
-{
-    motion_state_t *m = &axis->motion;
-    if (!m->forced && m->gain_shift < GAIN_SHIFT_MAX) {
-        speed_control_retune(axis, axis->config, (uint16_t)(m->gain_shift + 1U));
-    } else if (axis->diagnosis.oscillation.half_swing > axis->current_max.q / 2) {
-        axis_raise(axis, FOUND(FINDING_OSCILLATION));
-    } else {
-        speed_control_retune(axis, axis->config, 0);
-        m->forced = true;
-    }
-}
-
-/* Measured current, because the current loop may be the one that oscillates. A host may command a torque that
- * alternates. */
-static void judge_oscillation(axis_t *axis)
-{
-    oscillation_monitor_t *monitor = &axis->diagnosis.oscillation;
-    if (axis->motion.motion == MOTION_TORQUE || axis->test_signal.point != TEST_POINT_NONE) {
-        oscillation_monitor_restart(monitor);
-        return;
-    }
-    const frac16_t swing = axis->config->i_q_limit / 16;
-    if (oscillation_monitor_step(monitor, swing, axis->current_loop.current.q)) {
-        calm(axis);
-    }
-}
-
 static void spin_check(axis_t *axis)
 {
     if (axis->sensorless) {
@@ -524,7 +488,6 @@ static void spin_check(axis_t *axis)
     if (axis->motion.underrun && (axis->parameter.features & FEATURE_STARVED) != 0U) {
         axis_raise(axis, FOUND(FINDING_HOST_SILENT));
     }
-    judge_oscillation(axis);
     const finding_set_t findings = monitor_shaft(axis);
     if (findings != 0U) {
         judge_shaft(axis, findings);

@@ -82,27 +82,20 @@ static bool report_current(axis_t *axis)
     return derated;
 }
 
-/* With the bandwidth divided by 2^shift, the corner of the integral part falls as much: the phase margin remains. */
-static pi_gains_t gains_of(const axis_t *axis, const axis_config_t *config, uint16_t shift)
+static const pi_gains_t *gains_of(const axis_t *axis, const axis_config_t *config)
 {
-    pi_gains_t gains = axis->sensorless ? config->observed_speed : config->speed;
-    gains.kp = asr32(gains.kp, shift);
-    gains.ki = asr32(gains.ki, (uint16_t)(2U * shift));
-    return gains;
+    return axis->sensorless ? &config->observed_speed : &config->speed;
 }
 
-static pi_gains_t speed_gains(const axis_t *axis) { return gains_of(axis, axis->config, axis->motion.gain_shift); }
+static const pi_gains_t *speed_gains(const axis_t *axis) { return gains_of(axis, axis->config); }
 
-void speed_control_retune(axis_t *axis, const axis_config_t *config, uint16_t gain_shift)
+void speed_control_retune(axis_t *axis, const axis_config_t *config)
 {
     motion_state_t *m = &axis->motion;
-    const pi_gains_t before = speed_gains(axis);
-    const pi_gains_t gains = gains_of(axis, config, gain_shift);
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
-    const pi_sum_t kept = pi_retuned(&m->speed_pi, &before, &gains, error);
+    const pi_sum_t kept = pi_retuned(&m->speed_pi, speed_gains(axis), gains_of(axis, config), error);
     const frac32_t gained = f32_sub(forward_current(axis, axis->config), forward_current(axis, config));
     m->speed_pi.integral = pi_sum_saturated(kept + pi_sum_of(gained));
-    m->gain_shift = gain_shift;
 }
 
 /* Speed controller (F20, E34..E37), PI with anti-windup (control/pi.h):
@@ -112,15 +105,15 @@ frac16_t speed_control(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
-    const pi_gains_t gains = speed_gains(axis);
+    const pi_gains_t *gains = speed_gains(axis);
     if ((axis->parameter.features & FEATURE_ANTI_WINDUP) == 0U) {
         m->speed_pi.excess = 0; /* equivalent to Kc = 0 */
     }
     /* The integral part uses the mean speed, i.e. the counted distance. The M/T speed decays for tens of milliseconds
      * after the shaft has stopped; its integral would push the shaft off again. */
-    pi_integrate(&m->speed_pi, &gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
+    pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
     const pi_sum_t sum =
-        pi_sum_add(m->speed_pi.integral, error, gains.kp) + pi_sum_of(forward_current(axis, axis->config));
+        pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis, axis->config));
     const bool less = restricted(axis);
     const frac16_t limit = less ? restricted_limit(axis, sum < 0) : axis->current_max.q;
     const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
@@ -137,10 +130,10 @@ frac16_t speed_control(axis_t *axis)
  * against a load that drives the shaft, and decays again within the limit. */
 static frac32_t current_margin(const axis_t *axis, frac32_t ahead, frac32_t mean_ahead, frac32_t *held)
 {
-    const pi_gains_t gains = speed_gains(axis);
-    const frac32_t integral = f32_add(*held, f32_gain(mean_ahead, gains.ki));
+    const pi_gains_t *gains = speed_gains(axis);
+    const frac32_t integral = f32_add(*held, f32_gain(mean_ahead, gains->ki));
     *held = (integral < 0) ? f32_clip(integral, f32_from_f16(axis->limits.i_q)) : 0;
-    return f32_add(*held, f32_gain(ahead, gains.kp));
+    return f32_add(*held, f32_gain(ahead, gains->kp));
 }
 
 frac16_t torque_control(axis_t *axis)

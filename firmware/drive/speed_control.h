@@ -8,9 +8,9 @@
 /* Speed control to `motion.speed_ref`. Returns i_q*. */
 frac16_t speed_control(axis_t *axis);
 
-/* Bumpless change to gains and feed-forward of `config`, before it takes effect, with the gains divided by
- * 2^gain_shift: the integrator compensates the change. */
-void speed_control_retune(axis_t *axis, const axis_config_t *config, uint16_t gain_shift);
+/* Bumpless change to gains and feed-forward of `config`, before it takes effect: the integrator compensates the
+ * change. */
+void speed_control_retune(axis_t *axis, const axis_config_t *config);
 
 /* Torque control within the speed limits. Returns i_q*. */
 frac16_t torque_control(axis_t *axis);

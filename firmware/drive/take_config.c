@@ -27,8 +27,7 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
 {
     if (axis->sm.state == STATE_RUN) {
         current_loop_retune(&axis->current_loop, &axis->config->current_loop, &config->current_loop, axis->current_ref);
-        speed_control_retune(axis, config, 0);
-        axis->motion.forced = false;
+        speed_control_retune(axis, config);
         keep_estimates(axis, config);
     } else {
         axis->motion.position_gain = config->position_gain;

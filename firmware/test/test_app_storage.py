@@ -402,8 +402,7 @@ def test_a_set_of_format_1_is_restored_and_saved_in_the_present_format(core: Cor
     bench = StorageBench(core, format_1())
     assert (bench.source(), bench.copies()) == ("COPY_A", ["INTACT", "EMPTY"])
     restored = bench.values()
-    # Also faults_enabled, which has one more fault that cannot be disabled.
-    assert sum(new != old for new, old in zip(restored, built_in, strict=True)) == 4
+    assert sum(new != old for new, old in zip(restored, built_in, strict=True)) == 3
     assert bench.read_words("param.speed_limit") == [504471173, 504471173]  # 123 rad/s
     assert [read_block(bench, axis)["position_gain"] for axis in range(2)] == [386558, 386540]
     bench.to_stop()

@@ -414,7 +414,7 @@ def test_stop_categories_are_written_to_the_c_file() -> None:
     text = compute(axis1__stop__following_error="short", axis1__stop__over_speed="ramp", axis1__stop__disable="coast")
     axis1 = text.split("},\n        {")[0]
     assert ".stop.disable = STOP_CATEGORY_COAST," in axis1
-    assert ".stop.shorted = FAULT_FOLLOWING_ERROR | FAULT_OSCILLATION," in axis1
+    assert ".stop.shorted = FAULT_FOLLOWING_ERROR," in axis1
     assert ".stop.ramp = FAULT_HOMING | FAULT_HOST_SILENT | FAULT_LIMIT_SWITCH | FAULT_OVER_SPEED," in axis1
     assert ".stop.hold = 0," in axis1
 

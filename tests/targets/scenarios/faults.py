@@ -15,7 +15,7 @@ from servo_twin.fault_injection import (
     StuckLine,
 )
 
-from targets.rig import Rig, RigError
+from targets.rig import Rig
 from targets.scenarios.parts import ALL_FAULTS, FAULTS_WITHOUT_MONITORS, POSITION, SPEED, TORQUE, features, ready, spin
 
 
@@ -123,18 +123,6 @@ def stalled(rig: Rig) -> None:
     rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
     rig.set("cmd.enable", 1)
     rig.run(0.001)
-
-
-def shaken(rig: Rig) -> None:
-    """A load that alternates: smaller gains do not help, full gains are restored, then the axis stops."""
-    spin(rig)
-    rig.set("cmd.mode", POSITION)
-    for k in range(5200):
-        rig.set_load(0, 0.18 * math.sin(2.0 * math.pi * 60.0 * k * 0.00025))
-        rig.wait(0.00025)
-        if "OSCILLATION" in rig.faults(0):
-            return
-    raise RigError("an oscillation is not found")
 
 
 def backlash(rig: Rig) -> None:

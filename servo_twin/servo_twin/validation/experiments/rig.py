@@ -35,7 +35,7 @@ SETTLED: Final = 0.1
 SLOW: Final = 0.2 * COUNT / TICK  # speed with negligible motion between true value and snapshot of a tick [rad/s]
 
 
-WORDS: Final = ("limits", "faults", "state", "substate", "oscillation")
+WORDS: Final = ("limits", "faults", "state", "substate")
 """Variables of an axis that are recorded as words of the firmware."""
 
 _COUNTED: Final = ("position", "position_ref")  # recorded in counts
