@@ -13,7 +13,7 @@ from servo_twin.validation.experiments.plant_effects import EFFECTS
 
 @pytest.mark.usefixtures("level")
 def test_every_figure_is_within_its_bound() -> None:
-    outcome = plant_effects.run(PlantConfig.load(), seed=5)
+    outcome = plant_effects.run(PlantConfig.load(), seed=1)
     assert [(row.name, row.measured, str(row.bound)) for row in outcome.rows if not row.agrees] == []
     assert len(outcome.rows) == len(outcome.panels) * 2 == 14
 
@@ -42,5 +42,5 @@ def test_missing_effect_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, nam
 
     monkeypatch.setattr(plant_effects, "EFFECTS", (dataclasses.replace(effect, measure=measure),))
     monkeypatch.setenv("SERVO_TWIN_LEVEL", "ideal")
-    outcome = plant_effects.run(PlantConfig.load(), seed=5)
+    outcome = plant_effects.run(PlantConfig.load(), seed=1)
     assert [row.agrees for row in outcome.rows] == [False, False]
