@@ -13,6 +13,7 @@ from typing import Any, Final, get_args
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from servo_msgs_py.board_parameters import Assignment, parse
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.text_file import parse_toml
@@ -257,7 +258,7 @@ class Motion:
     def __init__(self, model: Any, begin: _Array) -> None:
         keys = [k for k in range(model.nkey) if model.key(k).name != _START]
         self.time = np.array([0.0, *(model.key_time[k] for k in keys)])
-        self.ctrl = np.array([begin, *(model.key_ctrl[k] for k in keys)])
+        ctrl = np.array([begin, *(model.key_ctrl[k] for k in keys)])
         gaps = np.diff(self.time)
         if (gaps <= 0.0).any():
             late = keys[int(np.argmax(gaps <= 0.0))]
@@ -265,34 +266,13 @@ class Motion:
                 f"keyframe {late} '{model.key(late).name}': its time {model.key_time[late]:g} s is not after the one "
                 f'before it; write <key time="..."> in increasing order, or name="{_START}" for the initial state'
             )
-        self._slope = _slopes(gaps, np.diff(self.ctrl, axis=0))
+        if not keys:  # a spline has two points
+            self._spline = CubicHermiteSpline([0.0, 1.0], ctrl[[0, 0]], np.zeros((2, model.nu)))
+            return
+        slopes = PchipInterpolator(self.time, ctrl).derivative()(self.time)
+        slopes[[0, -1]] = 0.0
+        self._spline = CubicHermiteSpline(self.time, ctrl, slopes)
 
     def __call__(self, times: _Array) -> _Array:
         """Control signals, each at its own time since the begin [s]."""
-        last = len(self.time) - 1
-        t = np.clip(times, 0.0, self.time[-1])
-        k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, max(last - 1, 0))
-        n, column = np.minimum(k + 1, last), np.arange(len(t))
-        h = np.where(n > k, self.time[n] - self.time[k], 1.0)
-        s = (t - self.time[k]) / h
-        from_, to, begin, end = (
-            self.ctrl[k, column],
-            self.ctrl[n, column],
-            self._slope[k, column],
-            self._slope[n, column],
-        )
-        rise = s * s * (3.0 - 2.0 * s)
-        return np.asarray(from_ + rise * (to - from_) + h * s * (1.0 - s) * ((1.0 - s) * begin - s * end))
-
-
-def _slopes(gaps: _Array, steps: _Array) -> _Array:
-    """Slope at each point: harmonic mean of both sides, weighted by their lengths; 0 at an extremum and at the ends."""
-    result = np.zeros((len(gaps) + 1, steps.shape[1]))
-    if len(gaps) < 2:
-        return result
-    left, right = steps[:-1] / gaps[:-1, None], steps[1:] / gaps[1:, None]
-    weight = (gaps[:-1] + 2.0 * gaps[1:])[:, None] / (3.0 * (gaps[1:] + gaps[:-1]))[:, None]
-    same = left * right > 0.0
-    mean = (1.0 - weight) * left + weight * right
-    result[1:-1][same] = (left * right)[same] / mean[same]
-    return result
+        return np.asarray(np.diagonal(self._spline(np.clip(times, 0.0, self.time[-1]))))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
-from servo_twin.runs.curves import TIME, Curves
+from servo_twin.runs.curves import TIME, Curves, collected
 from servo_twin.runs.recorded import RunError
 
 FIT, RESET, START = "fit", "reset", "start"
@@ -97,14 +97,8 @@ def _mean_square(first: Trace, second: Trace, shift: float) -> float:
 
 def _beginning(run: Curves) -> Trace:
     """The speeds of the first `_SPAN`."""
-    blocks: list[Trace] = []
-    for block in run.blocks(_SPEEDS):
-        missing = [name for name in _SPEEDS if name not in block.columns]
-        if missing:
-            raise RunError(f"{run.path} has no {', '.join(missing)}; align with {RESET} or {START}")
-        blocks.append(block)
-        if block[TIME][-1] - blocks[0][TIME][0] > _SPAN:
-            break
-    if not blocks:
-        raise RunError(f"{run.path} contains no samples")
-    return Trace(0.0, {name: np.concatenate([block[name] for block in blocks]) for name in (TIME, *_SPEEDS)})
+    speeds = collected(run, _SPEEDS, _SPAN)
+    missing = [name for name in _SPEEDS if name not in speeds.columns]
+    if missing:
+        raise RunError(f"{run.path} has no {', '.join(missing)}; align with {RESET} or {START}")
+    return speeds

@@ -90,16 +90,13 @@ def parser() -> argparse.ArgumentParser:
         description="Finds every change of a set-point between two rests and measures how the shaft follows: position "
         "where it is controlled, else speed. Exit status: 0 all settled, 1 one did not, 2 wrong input.",
     )
-    stepper.add_argument("run", type=Path, metavar="RUN", help=_CURVES)
-    stepper.add_argument("--namespace", default="", help=_NAMESPACE)
+    _add_curve_options(stepper)
     stepper.add_argument(
         "--band",
         type=argument.positive,
         metavar="VALUE",
         help=f"half width of the band of arrival [rad] or [rad/s] (default: {100 * steps.BAND:g} %% of each step)",
     )
-    stepper.add_argument("--json", action="store_true", help="print the result as JSON, SI units")
-    stepper.add_argument("-o", "--output", type=argument.picture, metavar="FILE", help="picture of the longest steps")
     stepper.set_defaults(run_command=_steps)
     analyser = verbs.add_parser(
         "spectrum",
@@ -107,13 +104,10 @@ def parser() -> argparse.ArgumentParser:
         description="Averages the spectrum of a variable and names its lines, at constant speed also in periods per "
         "turn of the shaft. Exit status: 0 success, 2 wrong input.",
     )
-    analyser.add_argument("run", type=Path, metavar="RUN", help=_CURVES)
+    _add_curve_options(analyser)
     analyser.add_argument("variable", metavar="VARIABLE", help="as axis1.speed")
-    analyser.add_argument("--namespace", default="", help=_NAMESPACE)
     for name, what in (("--start", "begin"), ("--end", "end")):
         analyser.add_argument(name, type=argument.finite, metavar="SECONDS", help=f"{what} (default: of the run)")
-    analyser.add_argument("--json", action="store_true", help="print the lines as JSON")
-    analyser.add_argument("-o", "--output", type=argument.picture, metavar="FILE", help="picture")
     analyser.set_defaults(run_command=_spectrum)
     layouter = verbs.add_parser(
         "layout",
@@ -162,17 +156,30 @@ def parser() -> argparse.ArgumentParser:
         metavar="TOPIC",
         help="only this one, as /servo/snapshot; repeatable",
     )
-    exporter.add_argument("--json", action="store_true", help="print the result as JSON")
+    _add_json_option(exporter)
     exporter.set_defaults(run_command=_export)
     return result
 
 
+def _add_json_option(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--json", action="store_true", help="print the result as JSON, SI units")
+
+
+def _add_curve_options(verb: argparse.ArgumentParser) -> None:
+    """Options of a command that measures the curves of one run."""
+    verb.add_argument("run", type=Path, metavar="RUN", help=_CURVES)
+    verb.add_argument("--namespace", default="", help=_NAMESPACE)
+    _add_json_option(verb)
+    verb.add_argument("-o", "--output", type=argument.picture, metavar="FILE", help="picture of the result")
+
+
 def _add_common_options(verb: argparse.ArgumentParser, outputs: str) -> None:
+    """Options of a command that compares a run with another one, or with the twin."""
     verb.add_argument("--namespace", default="", help=_NAMESPACE)
     verb.add_argument(
         "--thresholds", type=Path, metavar="FILE", help="noise of a healthy pair, from `servo_twin calibrate`"
     )
-    verb.add_argument("--json", action="store_true", help="print the result as JSON")
+    _add_json_option(verb)
     verb.add_argument(
         "-o", "--output", type=argument.output_file, action="append", default=[], metavar="FILE", help=outputs
     )

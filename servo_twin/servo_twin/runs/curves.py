@@ -5,6 +5,7 @@ A block is a `Trace` with the column `TIME`: board time [s], rising within a run
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
@@ -74,6 +75,34 @@ def curves_of(path: Path, namespace: str = "") -> Curves:
             "file of the viewer, or a .csv file of servo-tool record"
         )
     return _Snapshots(path, namespace)
+
+
+def collected(run: Curves, names: Sequence[str] | None, span: float = math.inf) -> Trace:
+    """Samples of these columns in one block; columns that a part of the run lacks are left out.
+
+    Parameters
+    ----------
+    run : Curves
+        The run.
+    names : sequence of str or None
+        Columns besides the time; None: all.
+    span : float
+        Time after the first sample from which on blocks are left out [s].
+
+    Raises
+    ------
+    RunError
+        If there are no samples.
+    """
+    blocks: list[Trace] = []
+    for block in run.blocks(names):
+        blocks.append(block)
+        if block[TIME][-1] - blocks[0][TIME][0] > span:
+            break
+    if not blocks:
+        raise RunError(f"{run.path} contains no samples")
+    common = [name for name in blocks[0].columns if all(name in block.columns for block in blocks)]
+    return Trace(0.0, {name: np.concatenate([block[name] for block in blocks]) for name in common})
 
 
 @dataclass(frozen=True)

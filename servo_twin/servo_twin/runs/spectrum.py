@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 from servo_msgs_py.figure import new_figure
-from servo_msgs_py.trace import Trace
 
-from servo_twin.runs.curves import TIME, Curves
+from servo_twin.runs.curves import TIME, Curves, collected
 from servo_twin.runs.recorded import RunError
 
 LINES_MAX: Final = 10
@@ -61,16 +60,18 @@ def spectrum_of(run: Curves, variable: str, start: float | None = None, end: flo
         If the run does not have the variable, too few samples of it, or it is constant.
     """
     speed = f"{variable.rpartition('.')[0]}.speed"
-    blocks = [_between(block, start, end) for block in run.blocks([variable, speed])]
-    if not blocks or variable not in blocks[0].columns:
-        known = ", ".join(sorted(name for block in run.blocks() for name in block.columns if name != TIME)[:40])
+    samples = collected(run, [variable, speed])
+    if variable not in samples.columns:
+        known = ", ".join(sorted(name for name in collected(run, None).columns if name != TIME)[:40])
         raise RunError(f"{run.path} has no variable {variable}; it has {known}")
-    time, values = (np.concatenate([block[name] for block in blocks]) for name in (TIME, variable))
+    bounds = -math.inf if start is None else start, math.inf if end is None else end
+    samples = samples.samples(*np.searchsorted(samples[TIME], bounds).tolist())
+    time, values = samples[TIME], samples[variable]
     if len(time) < _SAMPLES_MIN:
         raise RunError(f"{run.path} has {len(time)} samples of {variable} in this time; {_SAMPLES_MIN} are needed")
     if np.nanmin(values) == np.nanmax(values):
         raise RunError(f"{run.path}: {variable} is constant in this time; choose a time with motion")
-    speeds = np.concatenate([block[speed] for block in blocks]) if all(speed in b.columns for b in blocks) else None
+    speeds = samples.columns.get(speed)
     frequency, amplitude = _averaged(time, values)
     return Spectrum(variable, frequency, amplitude, _lines(frequency, amplitude, _turns(speeds)))
 
@@ -96,12 +97,6 @@ def picture(spectrum: Spectrum, unit: str) -> Any:
     plot.set_ylabel(f"amplitude of {spectrum.variable} [{unit}]")
     plot.grid(which="both", alpha=0.3)
     return figure
-
-
-def _between(block: Trace, start: float | None, end: float | None) -> Trace:
-    bounds = -math.inf if start is None else start, math.inf if end is None else end
-    first, last = np.searchsorted(block[TIME], bounds)
-    return block.samples(int(first), int(last))
 
 
 def _averaged(time: _Array, values: _Array) -> tuple[_Array, _Array]:

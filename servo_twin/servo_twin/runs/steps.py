@@ -18,7 +18,7 @@ from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.figure import new_figure
 from servo_msgs_py.trace import Trace
 
-from servo_twin.runs.curves import TIME, Curves
+from servo_twin.runs.curves import TIME, Curves, collected
 from servo_twin.runs.recorded import RunError
 from servo_twin.view import scene
 
@@ -72,7 +72,7 @@ def steps_of(run: Curves, band: float | None = None) -> list[Step]:
         If no axis has the columns.
     """
     names = {axis: _columns(axis) for axis, _ in scene.axes()}
-    samples = _samples(run, [name for columns in names.values() for name in columns])
+    samples = collected(run, [name for columns in names.values() for name in columns])
     whole = {axis: columns for axis, columns in names.items() if set(columns) <= set(samples.columns)}
     if not whole:
         raise RunError(
@@ -154,15 +154,6 @@ def picture(steps: Sequence[Step]) -> Any:
 
 def _columns(axis: int) -> list[str]:
     return [q.column(source, axis) for q in _MEASURED for source in (scene.BOARD, scene.SET_POINT)]
-
-
-def _samples(run: Curves, names: list[str]) -> Trace:
-    """All samples of these columns; columns that a block lacks are left out."""
-    blocks = list(run.blocks(names))
-    if not blocks:
-        raise RunError(f"{run.path} contains no samples")
-    common = [name for name in blocks[0].columns if all(name in block.columns for block in blocks)]
-    return Trace(0.0, {name: np.concatenate([block[name] for block in blocks]) for name in common})
 
 
 def _steps(samples: Trace, axis: int, band: float | None) -> Iterator[Step]:
