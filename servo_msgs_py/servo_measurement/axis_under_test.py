@@ -215,13 +215,13 @@ class AxisUnderTest:
 
     # ---- standstill and outputs ------------------------------------------------------------------------------------
 
-    def is_at_rest(self) -> bool:
-        """Whether the shaft is at rest without current."""
-        return abs(self.value("speed")) < REST_SPEED
+    def is_at_rest(self, speed: float = REST_SPEED) -> bool:
+        """Whether the shaft is at rest: below `speed` [rad/s], by default without current."""
+        return abs(self.value("speed")) < speed
 
-    def wait_for_rest(self) -> None:
-        """Wait until the shaft is at rest."""
-        if self.reached(self.is_at_rest, _REST_MAX, refuse_on_fault=False):
+    def wait_for_rest(self, speed: float = REST_SPEED) -> None:
+        """Wait until the shaft is at rest; `speed` as in `is_at_rest`."""
+        if self.reached(lambda: self.is_at_rest(speed), _REST_MAX, refuse_on_fault=False):
             return
         self.refuse_limits("REGENERATION")
         raise MeasurementError(

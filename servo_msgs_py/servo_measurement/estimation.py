@@ -15,7 +15,7 @@ from servo_measurement.least_squares import mean_of
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_values import Estimate, MotorEstimates
 from servo_measurement.rotating_vector import follow_vector, sensor_errors
-from servo_measurement.speed_runs import balance, flux, friction, second_half, steady_of, torque_of
+from servo_measurement.speed_runs import balance, flux, friction, half_wave, steady_of, torque_of
 from servo_measurement.standstill import Ohmic, impedance, ohmic
 
 BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
@@ -23,6 +23,12 @@ BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
 
 PLAIN_TIME: Final = 0.45
 """Duration of each run without a d-axis current [s]."""
+
+FLUX_CURRENT_TIME: Final = 0.8
+"""Duration of the d-axis current of a run for the flux, one period of a sine [s]."""
+
+PERIOD_MIN: Final = 0.95
+"""Smallest length of its recording, relative to it."""
 
 FLUX_UNCERTAINTY: Final = 0.1
 """Relative uncertainty of the flux from a rotating vector, for the unknown effect of dead time and voltage drops."""
@@ -128,10 +134,14 @@ def speed_runs_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic
     """``psi_m``, friction, ``load`` and ``inertia`` from runs at several speeds."""
     name = axis_name(log.axis)
     runs = log.labelled("speed")
-    held = [steady_of(second_half(run), name) for run in log.labelled("hold")]
+    if any(len(run) * run.step < PERIOD_MIN * FLUX_CURRENT_TIME for run in log.labelled("hold")):
+        raise MeasurementError("recordings for the flux are shorter than a period of their current: measure again")
+    held = [
+        steady_of(half_wave(run, FLUX_CURRENT_TIME, sign), name) for run in log.labelled("hold") for sign in (1.0, -1.0)
+    ]
     plain = [steady_of(run, name) for run in log.labelled("plain")]
-    if len(held) < 4 or len(plain) < 4:
-        raise MeasurementError(f"{len(held)} runs are too few for flux and friction: measure again")
+    if len(held) < 8 or len(plain) < 4:
+        raise MeasurementError(f"{len(plain)} runs are too few for flux and friction: measure again")
     pairs, l_d, l_q = round(known["pole_pairs"].value), known["l_d"].value, known["l_q"].value
     psi = flux(held, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q, known["delay"].value)
     i_d, i_q = (np.array([getattr(point, key).value for point in plain]) for key in ("i_d", "i_q"))

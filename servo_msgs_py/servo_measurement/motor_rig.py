@@ -18,7 +18,7 @@ from servo_tuning.formats import GAIN
 from servo_tuning.schema import BOARD_GROUPS
 
 from servo_measurement.access import Capture, MeasurementError, refuse_faults
-from servo_measurement.axis_under_test import AxisUnderTest
+from servo_measurement.axis_under_test import HELD_SPEED, AxisUnderTest
 from servo_measurement.log import LoggedAccess
 from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted, supply
 from servo_measurement.motor_values import Limits
@@ -161,10 +161,11 @@ class MotorRig(AxisUnderTest):
         return 0.5 * (self._low + self._high) - self.value("position")
 
     def make_room(self, room: float, speed: float, acceleration: float) -> None:
-        """Run to the middle of the limits if one of them is nearer than `room` [rad].
+        """Wait until the shaft is held at rest; run to the middle of the limits if one is nearer than `room` [rad].
 
-        The recordings do not end where they began; slow ramps add up.
+        A bus that takes no energy delays the stop. The recordings do not end where they began; slow ramps add up.
         """
+        self.wait_for_rest(HELD_SPEED)
         if self.free_travel > room:
             return
         way = self.way_to_middle
@@ -173,6 +174,7 @@ class MotorRig(AxisUnderTest):
         self.wait(abs(way) / top)
         self.command("cmd.speed", 0.0)
         self.wait(top / acceleration + STOPPED)
+        self.wait_for_rest(HELD_SPEED)
 
     def enable_monitors_except(self, monitors: int, *faults: str) -> None:
         """Enable these monitors except for some faults; monitors disabled for a simulated board remain off."""

@@ -25,6 +25,7 @@ from servo_measurement.axis_under_test import REST_SPEED
 from servo_measurement.dead_time import band_of, check_band
 from servo_measurement.estimation import (
     BAND,
+    FLUX_CURRENT_TIME,
     PLAIN_TIME,
     flux_of,
     inductances_of,
@@ -81,9 +82,8 @@ SEARCH_PAUSE: Final = 0.5
 """Wait between the rotor search and the first run [s], because a simulated search can take longer."""
 FLUX_CURRENT: Final = 0.4  # d-axis current at constant speed, relative to the limit
 FLUX_CURRENT_VOLTAGE: Final = 0.3  # its largest voltage drop, relative to the voltage
-FLUX_CURRENT_FREQUENCY: Final = 0.4  # [Hz]
-FLUX_CURRENT_TIME: Final = 0.8  # [s]
-HOLD_SAMPLES: Final = 640  # every second slow tick, from the beginning of that current
+HOLD_EVERY: Final = 3  # slow ticks per sample of the recording of that current
+HOLD_SAMPLES: Final = round(FLUX_CURRENT_TIME / TICK / HOLD_EVERY)
 ROOM_USE: Final = 0.9  # travel used, relative to the distance to the limits
 OVERSHOOT: Final = 1.18  # of the speed after a reversal, relative to the set-point
 SETTLE: Final = 0.3  # at a new speed [s]
@@ -466,13 +466,14 @@ class MotorTest:
             for speed in speeds:
                 rig.make_room(room, maximum, acceleration)
                 # With a d-axis current the phase currents are rarely near zero, where the dead-time voltage is
-                # uncertain; a slow sine has no steps.
+                # uncertain. This voltage lags the current; with a current of the other sign the lag has the opposite
+                # effect. A period of a slow sine has both signs, and no steps.
                 ramp = abs(speed) / acceleration
                 times = ramp + SETTLE_HOLD, ramp + STOPPED
-                rig.signal("D", flux_current, FLUX_CURRENT_FREQUENCY, FLUX_CURRENT_FREQUENCY, FLUX_CURRENT_TIME)
+                rig.signal("D", flux_current, 1.0 / FLUX_CURRENT_TIME, 1.0 / FLUX_CURRENT_TIME, FLUX_CURRENT_TIME)
                 begin = partial(rig.start_signal, "D")
-                rig.moving("hold", _HELD, HOLD_SAMPLES, 2, speed, times, begin, mark=False)
-                rig.wait(max(FLUX_CURRENT_TIME - 2.0 * HOLD_SAMPLES * TICK - times[1], 0.0) + TICK)
+                rig.moving("hold", _HELD, HOLD_SAMPLES, HOLD_EVERY, speed, times, begin, mark=False)
+                rig.wait(TICK)
 
     def _record_rotating(
         self, label: str, columns: Sequence[str], samples: int, every: int, electrical: float

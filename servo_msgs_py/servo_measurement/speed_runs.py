@@ -15,8 +15,10 @@ from servo_measurement.motor_values import Estimate
 from servo_measurement.standstill import Ohmic, switching_share
 
 GAP_MAX: Final = 3  # largest number of consecutive missing samples that are interpolated
-LOST_VOLTAGE_ERROR: Final = 0.3
-"""Relative uncertainty of a lost voltage that varies within the range of small currents."""
+PEAK: Final = 0.5
+"""Smallest value of a sine near its peak, relative to it."""
+LOST_VOLTAGE_ERROR: Final = 0.1
+"""Relative uncertainty of the lost voltage in phase with the torque current, while a larger d-axis current flows."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +33,11 @@ class Steady:
     u_d: Estimate | None = None  # [V]; None: not recorded
 
 
-def second_half(recording: Trace) -> Trace:
-    """Second half of a recording, after a transient."""
-    return recording.samples(len(recording) // 2)
+def half_wave(recording: Trace, period: float, sign: float) -> Trace:
+    """A recording of one period [s] of a sine, with the samples near the peak of one sign; the others are missing."""
+    wave = np.sin(2.0 * math.pi * recording.step * np.arange(len(recording)) / period)
+    kept = sign * wave > PEAK
+    return recording.changed(**{name: np.where(kept, column, np.nan) for name, column in recording.columns.items()})
 
 
 def steady_of(recording: Trace, axis: str) -> Steady:
@@ -70,25 +74,29 @@ def flux(
 ) -> Estimate:
     """Flux linkage [V s] from the dependence of voltage on speed, corrected by the lost voltage at direct current.
 
-    A voltage acts after the rotation during the delay of its load and half its hold time.
+    Points with d-axis currents of both signs: errors that change their sign with this current are fitted. These are the
+    lag of the lost voltage, which follows the current only after its zero crossing, and the error of `l_d`.
+
+    A voltage acts after the rotation during the delay of its load and half its hold time. The drive advances its angle
+    by one period.
     """
     speed = np.array([point.speed for point in points]) * pairs
     i_d, i_q = (np.array([getattr(point, name).value for point in points]) for name in ("i_d", "i_q"))
-    rotation = speed * (delay + 0.5 * PERIOD)
+    rotation = speed * (delay - 0.5 * PERIOD)
     u_q, u_d = (np.array([getattr(point, name).value for point in points]) for name in ("u_q", "u_d"))
     u_q = u_q * np.cos(rotation) - u_d * np.sin(rotation)
     size = np.hypot(i_d, i_q) + 1e-9
     lost = _lost_fundamental(size, u_q, u_dc, direct, 0.5 * (l_d + l_q)) * i_q / size
-    columns = np.column_stack([speed, np.sign(speed)])
+    sign = np.sign(i_d)
+    columns = np.column_stack([speed, speed * sign, np.sign(speed) * sign])
     induced = u_q - direct.resistance.value * i_q - speed * l_d * i_d - lost
-    (psi, _), covariance, _ = fit_linear(columns, induced)
+    (psi, *_), covariance, _ = fit_linear(columns, induced)
     # errors of resistance and lost voltage contribute as far as both depend on speed
-    (current_slope, _), _, _ = fit_linear(columns, i_q)
-    (lost_slope, _), _, _ = fit_linear(columns, lost)
+    current_slope, lost_slope = (float(fit_linear(columns, values)[0][0]) for values in (i_q, lost))
     parts = (
         float(np.sqrt(covariance[0, 0])),
-        float(current_slope) * direct.resistance.sigma,
-        LOST_VOLTAGE_ERROR * float(lost_slope),
+        current_slope * direct.resistance.sigma,
+        LOST_VOLTAGE_ERROR * lost_slope,
     )
     return Estimate(float(psi), math.hypot(*parts))
 

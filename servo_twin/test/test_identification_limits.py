@@ -25,7 +25,7 @@ from servo_twin.servo_config import servo_table
 PLANT: Final = PlantConfig.load()
 OPTIONS: Final = {"--current": "current", "--voltage": "voltage", "--speed-max": "speed", "--turns-max": "turns"}
 REFUSALS_MAX: Final = 6
-PLAIN_ERRORS: Final[Mapping[str, float]] = {"r_s": 0.1, "l_d": 0.03, "l_q": 0.03, "psi_m": 0.06, "inertia": 0.07}
+PLAIN_ERRORS: Final[Mapping[str, float]] = {"r_s": 0.1, "l_d": 0.03, "l_q": 0.03, "psi_m": 0.015, "inertia": 0.04}
 """Relative errors of the closed-form estimates, which a refinement would reduce."""
 
 

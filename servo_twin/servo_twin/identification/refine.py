@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from servo_measurement.access import MeasurementError
-from servo_measurement.estimation import BAND, estimates_of
+from servo_measurement.estimation import BAND, FLUX_CURRENT_TIME, estimates_of
 from servo_measurement.least_squares import mean_of
 from servo_measurement.log import MeasurementLog, repeat
 from servo_measurement.motor_rig import PROTECTION
 from servo_measurement.motor_test import PULSES, SPEEDS, TURN
 from servo_measurement.motor_values import Estimate, MotorEstimates
+from servo_measurement.speed_runs import half_wave
 from servo_measurement.standstill import spectra
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
@@ -184,9 +185,13 @@ class _Difference:
                 first_run = False  # the end of the preceding rotor search differs
                 continue
             for column in _COMPARED.get(label, ()):
-                usable = np.isfinite(recording[f"{self._name}.{column}"])
-                if label == "hold":  # the d current must settle first
-                    usable[: usable.size // 2] = False
+                if label == "hold":  # both signs of the d-axis current
+                    usable = np.zeros(len(recording), dtype=np.bool_)
+                    for sign in (1.0, -1.0):
+                        peak = half_wave(recording, FLUX_CURRENT_TIME, sign)
+                        usable |= np.isfinite(peak[f"{self._name}.{column}"])
+                else:
+                    usable = np.isfinite(recording[f"{self._name}.{column}"])
                 every = max(round(_AVERAGED[label] / recording.step), 1)
                 if usable.any():
                     self._parts.append(_Part(k, label, column, usable, np.arange(usable.size)[usable] // every))
