@@ -155,10 +155,16 @@ class Arbiter(Part):
         self.queue.put(axis, None, reason)
 
     @property
+    def used(self) -> list[int]:
+        """The axes with a motor."""
+        return [axis for axis, joint in enumerate(self.joints) if joint.used]
+
+    @property
     def armed(self) -> bool:
-        """True if a set-point for every joint would be accepted."""
+        """True if a set-point for every joint in use would be accepted."""
         blocked = self._blocked or self.inactive
-        return self._axes is not None and not blocked and all(axis.accepts_set_points for axis in self._axes)
+        axes = self._axes
+        return axes is not None and not blocked and all(axes[axis].accepts_set_points for axis in self.used)
 
     # ---- commands
     def submit(self, *requests: SetPointRequest) -> None:
@@ -250,6 +256,8 @@ class Arbiter(Part):
             raise NotReady(f"{source}: {self.inactive}; then call the service enable with data: true")
         for axis in axes:
             status, joint = self._axes[axis], self._joints[axis]
+            if not self.joints[axis].used:
+                raise NotReady(f"{source}: parameter used says that {joint} has no motor; leave it out, or change used")
             if status.faulted:
                 raise NotReady(
                     f"{source}: {joint} is in FAULT; see /diagnostics for cause and remedy, call clear_faults, "

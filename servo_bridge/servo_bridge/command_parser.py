@@ -67,7 +67,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="COMMAND")
     for verb, text in (
-        ("enable", "enable both axes (rotor search, then position hold)"),
+        ("enable", "enable the axes in use (rotor search, then position hold)"),
         ("disable", "stop with a ramp, then switch the outputs off"),
         (
             topics.QUICK_STOP,

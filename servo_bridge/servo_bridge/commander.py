@@ -85,7 +85,7 @@ class Commander(Client):
         return str(response.message)
 
     def enable(self) -> str:
-        """Enable both axes; wait until set-points are accepted.
+        """Enable the axes in use; wait until set-points are accepted.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class Commander(Client):
         self.watch()
         if not self.holds(lambda: self._armed[-1:] == [True], self.timeout):
             raise CommandError(f"set-points are not accepted within {self.timeout:g} s: {self._texts[-1]}; {text}")
-        return f"both axes are enabled: {self._texts[-1]}"
+        return f"enabled: {self._texts[-1]}"
 
     def disable(self) -> str:
         """Disable both axes; wait until the outputs are off.

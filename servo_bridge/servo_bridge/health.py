@@ -12,6 +12,7 @@ from servo_msgs_py.board_storage import Storage
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import FAULTS, NO_FAULT, diagnostic_status, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
+from servo_msgs_py.joints import Joint
 from servo_msgs_py.value_text import value_text
 
 from servo_bridge.callback_watch import CallbackReport
@@ -64,11 +65,11 @@ class Health:
         Name of the node with its namespace, prefix of every status name.
     port : str
         Port of the board.
-    joints : sequence of str
-        Joint names in the order of the axes.
+    joints : sequence of Joint
+        In the order of the axes.
     """
 
-    def __init__(self, catalogue: Catalogue, node: str, port: str, joints: Sequence[str]) -> None:
+    def __init__(self, catalogue: Catalogue, node: str, port: str, joints: Sequence[Joint]) -> None:
         self._catalogue = catalogue
         self._node = node
         self._port = port
@@ -182,7 +183,7 @@ class Health:
         current_limit : float, optional
             Current limit of the axis [A].
         """
-        name, prefix = self._joints[axis], axis_name(axis)
+        name, prefix, used = self._joints[axis].name, axis_name(axis), self._joints[axis].used
         if snapshot is None:
             return self._status(name, _ERROR, "not connected", {})
         status = snapshot.axes[axis]
@@ -190,7 +191,9 @@ class Health:
         word = snapshot.values.get(f"{prefix}.limits")
         limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
         remaining = 1.0 if winding is None or not current_limit else min(winding.current / current_limit, 1.0)
-        level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 else _OK
+        level = _OK
+        if used:
+            level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or NO_FAULT for key, texts in ((FAULTS, faults), ("limits", limits))}
@@ -207,7 +210,8 @@ class Health:
             values["winding [deg C]"] = _number(winding.temperature)
             values["current limit left [%]"] = _number(100.0 * remaining)
         derated = f"; hot winding: current limit derated to {100.0 * remaining:.0f} %" if remaining < 1.0 else ""
-        return self._status(name, level, "; ".join(faults) or status.label + at_limit + derated, values)
+        message = "; ".join(faults) or status.label + at_limit + derated
+        return self._status(name, level, message if used else "not in use (parameter used)", values)
 
     def commands(
         self, figures: CommandFigures, *, armed: bool, conflict: str = "", inactive: str = ""

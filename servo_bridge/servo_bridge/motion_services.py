@@ -76,7 +76,7 @@ class MotionServices(Part):
 
     # ---- services
     def enable(self, on: bool) -> Future[Outcome]:
-        """Enable both axes and release set-points; or stop with a ramp and switch the outputs off.
+        """Enable the axes in use and release set-points; or stop with a ramp and switch the outputs off.
 
         An enable is answered when set-points are accepted, at the latest after `_ENABLE_TIMEOUT`.
         """
@@ -90,7 +90,7 @@ class MotionServices(Part):
         if snapshot is None:
             return answered(False, self._not_connected())
         faults = self._faults(snapshot)
-        if faults or any(axis.faulted for axis in snapshot.axes):
+        if faults or self._faulted(snapshot):
             return answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
         stops = self._stops
 
@@ -105,7 +105,9 @@ class MotionServices(Part):
                 self._arbiter.release()
             self._enabling.append((stops, result.result() + _ENABLE_TIMEOUT, answer))
 
-        self._dispatcher.urgent(_both("cmd.enable", 1)).add_done_callback(written)
+        first, last = self._arbiter.used[0], self._arbiter.used[-1]
+        write = CommandWrite("cmd.enable", first, (1,) * (last - first + 1))
+        self._dispatcher.urgent(write).add_done_callback(written)
         return answer
 
     def _answer_enable(self, snapshot: Snapshot, stops: int, last_tick: int, answer: Future[Outcome]) -> bool:
@@ -113,8 +115,10 @@ class MotionServices(Part):
         if stops != self._stops:
             outcome = False, "interrupted by a stop; call enable again"
         elif self._arbiter.armed:
-            outcome = True, "both axes are enabled; set-points are accepted"
-        elif any(axis.faulted for axis in snapshot.axes):
+            names = [self._joints[axis] for axis in self._arbiter.used]
+            enabled = "both axes are" if len(names) == AXES else f"{names[0]} is"
+            outcome = True, f"{enabled} enabled; set-points are accepted"
+        elif self._faulted(snapshot):
             outcome = (
                 False,
                 f"{self._faults(snapshot) or 'an axis is in FAULT'}; then call clear_faults and enable again",
@@ -122,9 +126,7 @@ class MotionServices(Part):
         elif snapshot.tick >= last_tick and (held := self._held(snapshot)):
             outcome = False, f"{held}; then call enable again"
         elif snapshot.tick >= last_tick:
-            labels = ", ".join(
-                f"{joint} is in {axis.label}" for joint, axis in zip(self._joints, snapshot.axes, strict=True)
-            )
+            labels = ", ".join(f"{self._joints[axis]} is in {snapshot.axes[axis].label}" for axis in self._arbiter.used)
             outcome = True, f"enabling in progress: {labels}; set-points are accepted when armed is true"
         else:
             return False
@@ -176,22 +178,27 @@ class MotionServices(Part):
         self._dispatcher.urgent(write).add_done_callback(written)
         return answer
 
+    def _faulted(self, snapshot: Snapshot) -> bool:
+        return any(snapshot.axes[axis].faulted for axis in self._arbiter.used)
+
     def _faults(self, snapshot: Snapshot) -> str:
-        """Text of the faults of all axes; empty without faults."""
+        """Text of the faults of the axes in use; empty without faults."""
         return "; ".join(
-            f"{joint}: {text}"
-            for joint, word in zip(self._joints, snapshot.faults, strict=True)
-            for text in flag_texts(self._catalogue, "faults", word)
+            f"{self._joints[axis]}: {text}"
+            for axis in self._arbiter.used
+            for text in flag_texts(self._catalogue, "faults", snapshot.faults[axis])
         )
 
     def _held(self, snapshot: Snapshot) -> str:
         """Text of the inputs that keep an axis in STOP; empty if there are none."""
-        word = (int(snapshot.values.get(f"{axis_name(axis)}.limits", 0)) & self._input for axis in range(AXES))
+        words = {
+            axis: int(snapshot.values.get(f"{axis_name(axis)}.limits", 0)) & self._input for axis in self._arbiter.used
+        }
         return "; ".join(
-            f"{joint}: {text}"
-            for joint, axis, limits in zip(self._joints, snapshot.axes, word, strict=True)
-            if axis.label == "STOP"
-            for text in flag_texts(self._catalogue, "limits", limits)
+            f"{self._joints[axis]}: {text}"
+            for axis, word in words.items()
+            if snapshot.axes[axis].label == "STOP"
+            for text in flag_texts(self._catalogue, "limits", word)
         )
 
     def _not_connected(self) -> str:

@@ -72,6 +72,11 @@ _SETTINGS: Mapping[str, Spec] = {
         "true: positions of the joint are angles in -pi .. pi, as of a joint that is continuous in URDF; set-points "
         "take the shorter way. False: the joint counts its turns. Per joint",
     ),
+    "used": spec(
+        [True, True],
+        "false: no motor is connected; the service enable leaves the axis off, its set-points are refused, and its "
+        "faults do not keep the other joint from moving. Per joint, at least one true",
+    ),
     "telemetry": spec(
         [
             "u_dc",
@@ -389,7 +394,10 @@ def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assig
 
 def _joints(values: Mapping[str, Any]) -> tuple[Joint, ...]:
     gears = (_per_joint(values, name) for name in ("gear_ratio", "direction", "offset"))
-    rows = zip(values["joints"], *gears, _limits(values), _flags(values, "wraps"), strict=True)
+    used = _flags(values, "used")
+    if not any(used):
+        raise ParameterError(f"parameter used is {list(used)}; write true for at least one joint")
+    rows = zip(values["joints"], *gears, _limits(values), _flags(values, "wraps"), used, strict=True)
     try:
         return tuple(Joint(*row) for row in rows)
     except ValueError as error:

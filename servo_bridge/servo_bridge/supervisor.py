@@ -88,7 +88,7 @@ class Supervisor:
         self._inactive = f"the bridge is inactive; activate it first (ros2 lifecycle set /{full_name(node)} activate)"
         self.parts.arbiter.inactive = self._inactive
         self._diagnostics = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
-        self._health = Health(catalogue, full_name(node), settings.port, self._joints)
+        self._health = Health(catalogue, full_name(node), settings.port, settings.joints)
         self._status = LinkStatus(LinkState.DISCONNECTED, "starting")
         self._snapshot: Snapshot | None = None
         self._arrived: Sample | None = None  # the newest one, which may still wait in the inbox

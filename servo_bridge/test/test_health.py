@@ -7,6 +7,7 @@ from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health, Winding
 from servo_bridge.telemetry import AxisStatus, Snapshot
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import DEFAULT_JOINTS
 
 SNAPSHOT = Snapshot(8, 0, 0, {"u_dc": 24.0}, 0, 0, (), ())
 
@@ -17,7 +18,7 @@ def status(health: Health, late: int, overruns: int) -> DiagnosticStatus:
 
 
 def test_new_late_loops_and_lost_bytes_are_warnings() -> None:
-    health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
+    health = Health(Catalogue.load(), "bridge", "port", DEFAULT_JOINTS)
     assert status(health, 3, 0).level == DiagnosticStatus.OK, "events before the connection are not reported"
     late = status(health, 5, 0)
     assert (late.level, late.message) == (DiagnosticStatus.WARN, "in the last second: 2 late loops")
@@ -28,12 +29,12 @@ def test_new_late_loops_and_lost_bytes_are_warnings() -> None:
 
 
 def test_counters_that_have_not_been_read_are_unknown() -> None:
-    found = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).board(BoardInfo(name="servo"), SNAPSHOT)
+    found = Health(Catalogue.load(), "bridge", "port", DEFAULT_JOINTS).board(BoardInfo(name="servo"), SNAPSHOT)
     assert {value.key: value.value for value in found.values}["late loops"] == "unknown"
 
 
 def test_late_loops_are_counted_across_the_wrap_of_the_counter() -> None:
-    health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
+    health = Health(Catalogue.load(), "bridge", "port", DEFAULT_JOINTS)
     status(health, 0xFFFF, 0)
     assert status(health, 1, 0).message == "in the last second: 2 late loops"
 
@@ -42,7 +43,7 @@ def axis_status(winding: Winding | None, limit: float | None, faults: int = 0) -
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 2.0}
     state = AxisStatus("RUN/SPIN", accepts_set_points=True)
     snapshot = Snapshot(8, 0, 0, values, 0, 0, (state, state), (faults, 0))
-    return Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).axis(0, snapshot, None, winding, limit)
+    return Health(Catalogue.load(), "bridge", "port", DEFAULT_JOINTS).axis(0, snapshot, None, winding, limit)
 
 
 def test_hot_winding_is_a_warning_with_the_derated_current() -> None:
@@ -64,7 +65,7 @@ def test_a_winding_that_has_not_been_read_is_not_shown() -> None:
 
 
 def test_active_inputs_are_shown_if_they_are_in_the_telemetry() -> None:
-    health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
+    health = Health(Catalogue.load(), "bridge", "port", DEFAULT_JOINTS)
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 0.0}
     axes = (AxisStatus("STOP", accepts_set_points=False), AxisStatus("STOP", accepts_set_points=False))
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 from board_context_rig import board_context
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.set_point_queue import CommandWrite
+from servo_bridge.set_points import Mode, NotReady, SetPointRequest
 from servo_bridge.telemetry import AxisStatus, Snapshot
-from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 
 CATALOGUE = Catalogue.load()
 JOINTS = joint_names(DEFAULT_JOINTS)
@@ -21,9 +24,9 @@ STOPPED = AxisStatus("STOP", accepts_set_points=False)
 class Rig:
     """Services with a real arbiter and dispatcher; `sample` models the board."""
 
-    def __init__(self) -> None:
+    def __init__(self, joints: Sequence[Joint] = DEFAULT_JOINTS) -> None:
         self.sent: list[CommandWrite] = []
-        self.arbiter = Arbiter(CATALOGUE, DEFAULT_JOINTS)
+        self.arbiter = Arbiter(CATALOGUE, joints)
         self.dispatcher = Dispatcher(self.sent.append, self.arbiter.queue, lambda _: None)
         self.events: list[str] = []
         self.services = MotionServices(board_context(log=self.events.append), JOINTS, self.arbiter, self.dispatcher)
@@ -71,6 +74,24 @@ def test_enable_answers_when_set_points_are_accepted() -> None:
     assert not answer.done()
     rig.sample()
     assert answer.result(0) == (True, "both axes are enabled; set-points are accepted")
+
+
+@pytest.mark.parametrize("used", range(AXES))
+def test_an_axis_without_a_motor_is_left_off_and_keeps_no_other_from_moving(used: int) -> None:
+    rig = Rig([Joint(axis_name(axis), used=axis == used) for axis in range(AXES)])
+    dead = AxisStatus("FAULT", accepts_set_points=False, faulted=True)
+    faults = (0, 1) if used == 0 else (1, 0)
+    states = (SPINNING, dead) if used == 0 else (dead, SPINNING)
+    rig.connected(*((STOPPED, dead) if used == 0 else (dead, STOPPED)))
+    answer = rig.services.enable(True)
+    assert rig.sent[-1] == CommandWrite("cmd.enable", used, (1,))
+    rig.dispatcher.acknowledged(rig.sent[-1], None)
+    rig.sample(*states, faults=faults, applied=True)
+    assert answer.result(0) == (True, f"{axis_name(used)} is enabled; set-points are accepted")
+    assert rig.arbiter.armed
+    rig.arbiter.submit(SetPointRequest("commands", Mode.POSITION, {used: 1.0}))
+    with pytest.raises(NotReady, match=f"parameter used says that {axis_name(1 - used)} has no motor"):
+        rig.arbiter.submit(SetPointRequest("commands", Mode.POSITION, {1 - used: 1.0}))
 
 
 def test_enable_times_out() -> None:

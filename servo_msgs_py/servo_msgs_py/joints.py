@@ -60,6 +60,7 @@ class Joint:
     offset: float = 0.0  # joint position at motor position 0 [rad]
     limits: JointLimits = field(default_factory=JointLimits)  # in joint units
     wraps: bool = False  # whether positions are angles within -pi .. pi
+    used: bool = True  # whether a motor is connected; otherwise the axis is never enabled
 
     def __post_init__(self) -> None:
         if not GEAR_RATIO_MIN <= self.gear_ratio <= GEAR_RATIO_MAX:
