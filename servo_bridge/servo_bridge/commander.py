@@ -118,7 +118,7 @@ class Commander(Client):
         run = self._catalogue.enums["state_t"]["RUN"]
 
         def off() -> bool:
-            if not self._connected:
+            if not self.connected:
                 raise CommandError(f"the board was lost before its outputs were off: {self._links[-1].message}")
             return bool(newest) and all(newest[f"{axis_name(axis)}.state"] != run for axis in range(AXES))
 
@@ -169,7 +169,7 @@ class Commander(Client):
         self.wait_for(lambda: all(received), f"no {self.of(topics.ARMED)} was received")
 
     @property
-    def _connected(self) -> bool:
+    def connected(self) -> bool:
         """Whether the bridge has a board; after `watch`."""
         return bool(self._links[-1].level == DiagnosticStatus.OK)
 
@@ -189,7 +189,7 @@ class Commander(Client):
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())
         self.watch()
         text = self._texts[-1]
-        if not self._connected:
+        if not self.connected:
             return text, "the board is not connected"
         self.wait_for(lambda: joints, f"no {self.of(topics.JOINT_STATES)} were received")
         last = joints[-1]
@@ -256,7 +256,7 @@ class Commander(Client):
             After the timeout, or if there is no board.
         """
         self.watch()
-        if not self._connected:
+        if not self.connected:
             raise CommandError(f"the board is not connected: {self._links[-1].message}")
         received: list[RawParameters] = []
 
@@ -300,7 +300,7 @@ class Commander(Client):
         if not result.successful:
             raise CommandError(f"set was refused: {result.reason}")
         self.watch()
-        if not self._connected:
+        if not self.connected:
             return "the board is not connected; the parameters are set after the connection"
         reports: list[DiagnosticArray] = []
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())

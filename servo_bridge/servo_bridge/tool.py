@@ -22,6 +22,7 @@ from servo_msgs_py.runtime.program import program
 from servo_bridge import (
     tool_bode,
     tool_commands,
+    tool_commission,
     tool_faults,
     tool_identify,
     tool_record,
@@ -175,6 +176,10 @@ def _parser() -> argparse.ArgumentParser:
     command = add("identify", tool_identify.identify, "identify the motor of an axis; the shaft moves")
     command.set_defaults(check=tool_identify.check)
     tool_identify.add_arguments(command)
+    command = add("commission", tool_commission.commission, "commission an axis step by step; the shaft moves")
+    command.description = tool_commission.ABOUT
+    command.set_defaults(check=tool_commission.check)
+    tool_commission.add_arguments(command)
     command = add("tune", tool_tune.tune, "change gains and motor data of a running board, or read them back")
     command.set_defaults(check=tool_tune.check)
     tool_tune.add_arguments(command)
@@ -244,7 +249,9 @@ def _run(args: argparse.Namespace) -> int:
             catalogue = Catalogue.load()
             session = connect(client, catalogue)
             connected = True
-            return run(tool_commands.Context(args, catalogue, session, port, baud, serial_port.low_latency))
+            return run(
+                tool_commands.Context(args, catalogue, session, port, baud, serial_port.low_latency, serial_port.close)
+            )
     except (OutOfRangeError, RecorderError) as error:  # not an error of the link
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1

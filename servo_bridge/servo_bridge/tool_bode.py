@@ -87,24 +87,26 @@ def bode(context: Context) -> int:
                 progress=lambda text, done, total: show(bar, f"{text} ", done, total),
             )
         print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))
-        _write(result, args.out, args.rrd)
+        if args.out is not None:
+            write_files(result, args.out)
+        if args.rrd is not None:
+            write_recording(result, args.rrd)
     except (MeasurementError, ValueError) as error:  # a number or a block was refused
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     return 0 if result.confirmed else 1
 
 
-def _write(result: Bode, folder: Path | None, recording: Path | None) -> None:
-    if folder is not None:
-        stem = f"bode_{axis_name(result.settings.axis)}_{result.settings.loop.name}"
-        table = io.StringIO()
-        writer = csv.writer(table)
-        writer.writerow(COLUMNS)
-        writer.writerows([[f"{value:.8g}" for value in row] for row in rows(result).tolist()])
-        write_file(folder / f"{stem}.csv", table.getvalue())
-        draw(result, folder / f"{stem}.png")
-    if recording is not None:
-        write_recording(result, recording)
+def write_files(result: Bode, folder: Path) -> str:
+    """Write curves (.csv) and plot (.png); returns their name without extension."""
+    stem = f"bode_{axis_name(result.settings.axis)}_{result.settings.loop.name}"
+    table = io.StringIO()
+    writer = csv.writer(table)
+    writer.writerow(COLUMNS)
+    writer.writerows([[f"{value:.8g}" for value in row] for row in rows(result).tolist()])
+    write_file(folder / f"{stem}.csv", table.getvalue())
+    draw(result, folder / f"{stem}.png")
+    return stem
 
 
 def _repeats(text: str) -> int:

@@ -46,6 +46,7 @@ class Context:
     port: str
     baud: int
     low_latency: LowLatency
+    release: Callable[[], None] = lambda: None  # closes the port, for another program; the session has ended then
 
 
 CommandFunction = Callable[[Context], int]

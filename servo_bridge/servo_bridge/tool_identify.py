@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 _OUT: Final = "out/identify"
 _RECORDING: Final = "measurement.npz"
+ESTIMATES: Final = "estimates.json"
+PICTURE: Final = "identify.png"
+"""Files of the evaluation by the twin."""
 _MACHINE: Final = ("pins.", "stop.disable", "stop.quick_stop", "stop.shorted", "stop.ramp", "stop.hold", "heat.")
 """Members that depend on the machine and not on its motor."""
 
@@ -44,6 +47,14 @@ _MACHINE: Final = ("pins.", "stop.disable", "stop.quick_stop", "stop.shorted", "
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     command.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
+    add_limits(command)
+    command.add_argument(
+        "--out", type=argument.output_folder, default=_OUT, metavar="FOLDER", help="default: %(default)s"
+    )
+
+
+def add_limits(command: argparse.ArgumentParser) -> None:
+    """Add the limits of the test, and the files with what it does not find."""
     command.add_argument("--voltage", type=argument.positive, required=True, help="voltage of the bus [V]")
     command.add_argument("--current", type=argument.positive, required=True, help="permitted motor current [A, peak]")
     defaults = {field.name: field.default for field in fields(Limits)}
@@ -68,7 +79,10 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         help="servo.toml with all other entries (default: the one of the checkout)",
     )
     command.add_argument(
-        "--out", type=argument.output_folder, default=_OUT, metavar="FOLDER", help="default: %(default)s"
+        "--plant",
+        type=Path,
+        metavar="FILE",
+        help="plant.toml with the values of the other axis (default: packaged)",
     )
 
 
@@ -156,8 +170,9 @@ def _twin_installed() -> bool:
 def _evaluated(args: argparse.Namespace, path: Path) -> int:
     """Refine the values and write the files by the twin, in a separate process."""
     command = [sys.executable, "-m", "servo_twin.cli", "identify", "--recording", str(path), "--out", str(args.out)]
-    if args.config is not None:
-        command += ["--config", str(args.config)]
+    for option in ("config", "plant"):
+        if (file := getattr(args, option)) is not None:
+            command += [f"--{option}", str(file)]
     return subprocess.run(command, check=False).returncode
 
 
