@@ -24,8 +24,8 @@ figures = st.builds(
     st.text(),
     st.floats(allow_infinity=True, allow_nan=True),
     st.text(),
-    st.floats(allow_nan=False),
-    st.floats(allow_nan=False),
+    st.just(-math.inf) | st.floats(allow_nan=False, allow_infinity=False),
+    st.just(math.inf) | st.floats(allow_nan=False, allow_infinity=False),
     st.text(),
 )
 
@@ -90,7 +90,7 @@ class _Page(HTMLParser):
         self.pictures: list[str | None] = []
 
     def handle_data(self, data: str) -> None:
-        self.texts.append(data)
+        self.texts.append(data.strip())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag == "img":
