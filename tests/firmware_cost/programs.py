@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from targets.machines import CORTEX_M3, CortexM3, build_cortex_m3
+from targets.machines import CORTEX_M3, CortexM3, build_cortex
 from targets.sources import ROOMS, STRICT, Sources
 from targets.toolchain import compile_objects, version
 
@@ -54,4 +54,4 @@ class Programs:
     def link(self, name: str, files: Sequence[Path], options: Sequence[str] = ()) -> Path:
         """Link objects and C files with the start-up code."""
         everything = [self.optimisation, _DEBUG, f"-I{self.bench}", *options]
-        return build_cortex_m3(self.sources, self.folder / f"{name}.elf", files, everything)
+        return build_cortex(self.sources, self.folder / f"{name}.elf", files, everything)

@@ -21,13 +21,20 @@ AVR_RAM_END: Final = 0xEFFF
 TIMEOUT: Final = 300.0
 """Time-out of a simulator for one recording [s]; the slowest one needs 7 s."""
 
-CORTEX_M3: Final = ("-mcpu=cortex-m3", "-mthumb", "-ffreestanding", "-ffunction-sections", "-fdata-sections")
+_BARE: Final = ("-mthumb", "-ffreestanding", "-ffunction-sections", "-fdata-sections")
+
+CORTEX_M3: Final = ("-mcpu=cortex-m3", *_BARE)
 """Options of every program for the Cortex-M3."""
 
-QEMU: Final = (
-    *("qemu-system-arm", "-M", "mps2-an385", "-display", "none", "-monitor", "none", "-serial", "stdio"),
+CORTEX_M4: Final = ("-mcpu=cortex-m4", "-mfloat-abi=soft", *_BARE)
+"""Options of every program for the Cortex-M4."""
+
+_QEMU_OPTIONS: Final = (
+    *("-display", "none", "-monitor", "none", "-serial", "stdio"),
     *("-semihosting-config", "enable=on,target=native"),
 )
+QEMU: Final = ("qemu-system-arm", "-M", "mps2-an385", *_QEMU_OPTIONS)
+QEMU_M4: Final = ("qemu-system-arm", "-M", "mps2-an386", *_QEMU_OPTIONS)
 QEMU_IMAGE_ADDRESS: Final = 0x21000000
 
 ARITHMETIC_NAME: Final = b"SRVA"
@@ -120,15 +127,15 @@ class Host:
 # ---- Cortex-M3 ------------------------------------------------------------------------------------------------------
 
 
-def cortex_m3_compiler(sources: Sources, options: Sequence[str]) -> list[str]:
-    """Compiler and options."""
+def cortex_compiler(sources: Sources, options: Sequence[str]) -> list[str]:
+    """Compiler and options; these contain `CORTEX_M3` or `CORTEX_M4`."""
     include = [f"-I{path}" for path in (sources.firmware, sources.native, sources.port("cortex_m3"))]
-    return ["arm-none-eabi-gcc", *STRICT, *CORTEX_M3, *options, *include]
+    return ["arm-none-eabi-gcc", *STRICT, *options, *include]
 
 
-def build_cortex_m3(sources: Sources, output: Path, files: Sequence[Path], options: Sequence[str]) -> Path:
-    """Compile and link a program for the Cortex-M3 from sources or objects `files` and the start-up code."""
-    port, compiler = sources.port("cortex_m3"), cortex_m3_compiler(sources, options)
+def build_cortex(sources: Sources, output: Path, files: Sequence[Path], options: Sequence[str]) -> Path:
+    """Compile and link a program from sources or objects `files` and the start-up code; `options`: see above."""
+    port, compiler = sources.port("cortex_m3"), cortex_compiler(sources, options)
     link = ["-nostdlib", "-T", str(port / "mps2.ld"), "-Wl,--gc-sections", "-o", str(output)]
     everything = [*files, port / "machine.c", port / "startup.c"]
     texts = [path for path in everything if path.suffix == ".c"]
@@ -171,10 +178,61 @@ class CortexM3:
         return has_library("arm-none-eabi-gcc", "libc.a") and has_program(QEMU[0])
 
     def build(self, sources: Sources, folder: Path) -> QemuProgram:
-        options = [self.optimisation, SAMPLES]
-        files = [*sources.core(), *sources.replay()]
-        objects = compile_objects(cortex_m3_compiler(sources, options), files, folder, sources.root)
-        return QemuProgram(build_cortex_m3(sources, folder / "replay.elf", objects, options))
+        return QemuProgram(_replay_elf(sources, folder, [*CORTEX_M3, self.optimisation, SAMPLES]))
+
+
+def _replay_elf(sources: Sources, folder: Path, options: Sequence[str]) -> Path:
+    """The replay program for the mps2 boards."""
+    files = [*sources.core(), *sources.replay()]
+    objects = compile_objects(cortex_compiler(sources, options), files, folder, sources.root)
+    return build_cortex(sources, folder / "replay.elf", objects, options)
+
+
+# ---- Cortex-M4, executed by the virtual board's own core -------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ArmProgram:
+    """Program for the Cortex-M4 with the core that executes it (servo_twin/native/arm)."""
+
+    elf: Path
+    simulator: Path
+
+    def run(self, image: bytes) -> str:
+        with tempfile.NamedTemporaryFile(dir=self.elf.parent, suffix=".image") as file:
+            file.write(image)
+            file.flush()
+            return run([self.simulator, self.elf, file.name], timeout=TIMEOUT)
+
+
+def build_arm_simulator(sources: Sources, folder: Path, options: Sequence[str] = ("-O2",)) -> Path:
+    """Compile the core of the virtual board as a machine for programs of the mps2 boards."""
+    program = folder / "arm_simulator"
+    files = [*sorted((sources.twin / "arm").glob("*.c")), sources.native / "arm_simulator.c"]
+    compiler = ["gcc", *STRICT, *options, f"-I{sources.twin}"]
+    run([*compiler, *compile_objects(compiler, files, folder, sources.root), "-o", program])
+    return program
+
+
+@dataclass(frozen=True)
+class CortexM4:
+    """A bare Cortex-M4, executed by the core of the virtual board."""
+
+    optimisation: str
+    about: str = "Cortex-M4, bare metal, servo_twin/native/arm"
+    packages: tuple[str, ...] = ("gcc-arm-none-eabi", "libnewlib-arm-none-eabi", "qemu-system-arm", "gcc")
+    weight: float = 4.0  # run time relative to the host
+
+    @property
+    def name(self) -> str:
+        return f"cortex-m4 {self.optimisation}"
+
+    def available(self) -> bool:
+        return has_library("arm-none-eabi-gcc", "libc.a") and has_program(QEMU[0])
+
+    def build(self, sources: Sources, folder: Path) -> ArmProgram:
+        simulator = build_arm_simulator(sources, folder)
+        return ArmProgram(_replay_elf(sources, folder, [*CORTEX_M4, self.optimisation, SAMPLES]), simulator)
 
 
 # ---- AVR ------------------------------------------------------------------------------------------------------------
@@ -251,6 +309,7 @@ TARGETS: Final[tuple[Target, ...]] = (
     ),
     CortexM3("-Os"),
     CortexM3("-O2"),
-    CortexM3("-O3"),
+    CortexM4("-Os"),
+    CortexM4("-O2"),
     Avr(),
 )
