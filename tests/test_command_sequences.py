@@ -150,6 +150,24 @@ def test_position_controller_after_a_velocity_controller() -> None:
     assert moved(sequence)[-1] == pytest.approx((1.0, -1.0), abs=GOAL_ERROR)
 
 
+@pytest.mark.parametrize(("controller", "way"), [("trajectory", 1.0), ("velocity", 1.0), ("position", 40.0)])
+def test_a_fault_of_one_joint_stops_the_other_one_of_the_same_message(controller: Kind, way: float) -> None:
+    """At 15 rad/s, as a position at 300 rad/s."""
+    steps = [
+        Step("activate", controller=controller),
+        Step("goal", 0.15, distance=60.0, time=4.0),
+        Step("fault", 0.5),
+        Step("goal", 0.5, distance=1.0),
+    ]
+    sequence = CommandSequence(Setup(), steps)
+    assert not sequence.run(), sequence.log
+    _, _, stopped, refused = moved(sequence)
+    assert abs(stopped[1]) < way
+    assert refused[1] == pytest.approx(0.0, abs=0.02)
+    line = next(line for line in sequence.log if "axis1 is in FAULT" in line)
+    assert "axis2 of the same message stops, too" in line
+
+
 def test_move_beside_an_active_controller_is_carried_out_and_its_next_goal_too() -> None:
     sequence = CommandSequence(Setup(), [Step("move", 1.5, distance=2.0), Step("goal", 1.5)])
     assert not sequence.run(), sequence.log

@@ -15,7 +15,7 @@ from servo_bridge.answers import Answers
 from servo_bridge.command_context import CommandContext
 from servo_bridge.part import Part
 from servo_bridge.sample_clocks import SampleClocks
-from servo_bridge.set_points import JointSetPoint, Rejected, from_joint_command, requests_of
+from servo_bridge.set_points import JointSetPoint, NotReady, Rejected, from_joint_command, requests_of
 from servo_bridge.telemetry import Snapshot
 from servo_bridge.trajectory.streamer import Streamer, require_within
 from servo_msgs_py import topics
@@ -107,7 +107,7 @@ class JointCommands(Part):
         arrival = self._clocks.board_time(now_ns)
         stamp = self._stamp(message, now_ns)
         try:
-            context.arbiter.check_ready(_SOURCE, points)
+            self._require_ready(points)
             places = {
                 axis: context.arbiter.place(_SOURCE, axis, streaming=self._streamer.streams(axis)) for axis in points
             }
@@ -123,6 +123,30 @@ class JointCommands(Part):
         if admitted.points:
             self._submit(self._unwrapped(admitted.points, places), stamp, arrival)
         return next(iter(admitted.refused), None)
+
+    def _require_ready(self, points: Collection[int]) -> None:
+        """Check that the joints of a message accept set-points, and stop those that this topic moves if one does not.
+
+        The joints of a message move together: none of them goes on alone, and none stops without a log message.
+
+        Raises
+        ------
+        NotReady
+            If a joint does not.
+        """
+        arbiter = self._context.arbiter
+        try:
+            arbiter.check_ready(_SOURCE, points)
+        except NotReady as error:
+            holders = {axis: arbiter.sources.holder(axis) for axis in sorted(points)}
+            moved = [axis for axis, holder in holders.items() if holder is not None and holder.topic == _SOURCE]
+            if not moved:
+                raise
+            for axis in moved:
+                arbiter.release_axis(axis, str(error))
+            arbiter.queue.halt(moved, str(error))
+            joints = " and ".join(self._context.joints[axis] for axis in moved)
+            raise NotReady(f"{error}; {joints} of the same message stops, too", error.kind) from None
 
     def _check(self, points: Mapping[int, JointSetPoint], places: Mapping[int, Place]) -> None:
         """Check the values of set-points.

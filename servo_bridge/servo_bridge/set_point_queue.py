@@ -96,7 +96,7 @@ class SetPointQueue:
     def __init__(self) -> None:
         self._modes: list[Mode | None] = [None] * AXES  # accepted by the board; None: not known
         self._targets: list[Target | None] = [None] * AXES
-        self._halted: set[int] = set()  # axes to be stopped
+        self._halted: dict[int, Mode] = {}  # axes to be stopped, by a change to these modes
         self._paths: PathSource | None = None
         self._order = [*TARGETS.values(), _POINTS]  # variables, the one that was written last at the end
 
@@ -160,8 +160,8 @@ class SetPointQueue:
         Set-points of different kinds take turns, if the line is too slow for all of them: none may be late for long.
         """
         if self._halted:
-            halted, self._halted = self._halted, set()
-            return _joined("cmd.mode", dict.fromkeys(halted, Mode.POSITION.value))
+            halted, self._halted = self._halted, {}
+            return _joined("cmd.mode", {axis: mode.value for axis, mode in halted.items()})
         waiting, changes = dict[int, Target](), dict[int, int]()
         for axis, (mode, target) in enumerate(zip(self._modes, self._targets, strict=True)):
             if target is not None:
@@ -220,10 +220,11 @@ class SetPointQueue:
         return True
 
     def _stop(self, axes: Iterable[int]) -> None:
-        """Stop axes by a change of the mode."""
+        """Stop axes by a change of the mode, of a position move by one to the mode of trajectories."""
         for axis in axes:
+            other = Mode.TRAJECTORY if self._modes[axis] is Mode.POSITION else Mode.POSITION
+            self._halted.setdefault(axis, other)
             self._modes[axis] = None
-            self._halted.add(axis)
 
 
 def _axes_of(write: CommandWrite) -> list[int]:
