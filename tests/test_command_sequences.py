@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 from bench import stream_delay
-from command_sequences import EVENTS, GOAL_ERROR, SETUP_VALUES, STEP_VALUES, CommandSequence, Kind, Setup, Step
+from command_sequences import EVENTS, GOAL_ERROR, LIMIT, SETUP_VALUES, STEP_VALUES, CommandSequence, Kind, Setup, Step
 from controllers.controllers import SUCCESSFUL
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -102,6 +102,17 @@ def test_a_goal_beyond_a_limit_is_refused_in_one_line() -> None:
     assert not sequence.run(), sequence.log
     lines = [line for line in sequence.log if "rejected, no motion" in line and "outside -3 .. 3 rad" in line]
     assert len(lines) == 1
+
+
+@pytest.mark.parametrize(("baud", "gear_ratio"), [(1_000_000, 3.0), (115_200, 1.0)])
+def test_a_velocity_is_stopped_shortly_before_a_limit(baud: int, gear_ratio: float) -> None:
+    """At 10 rad/s: 20 ms for the computer, an interval of the samples, and the line."""
+    steps = [Step("activate", controller="velocity"), Step("goal", distance=10.0, time=1.0)]
+    sequence = CommandSequence(Setup(joints="limited", baud=baud, gear_ratio=gear_ratio), steps)
+    assert not sequence.run(), sequence.log
+    first, second = sequence.places[-1]
+    assert min(first, -second) > LIMIT - 0.42
+    assert max(first, -second) < LIMIT
 
 
 def moved(sequence: CommandSequence) -> list[tuple[float, ...]]:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
-from servo_msgs_py.units import unwrap_u32
+from servo_msgs_py.units import PERIOD, unwrap_u32
 
 from servo_bridge.admission import JOIN_SPEED, SETTLING, Place
 from servo_bridge.part import Part
@@ -28,8 +28,22 @@ _REMEDY = "send a value within this range, or change the limits in the parameter
 _BOARD = "this is the range of the board; send a value within it"
 _REACH = "one set-point may not be farther from the shaft; move in steps"
 _NOT_ENABLED = "the outputs have not been enabled by this bridge"
-_STOP_DELAY = 0.1
-"""Time from a sample to the effect of the stop that it causes [s]: two exchanges at 115200 baud, with a reserve."""
+_INTERVAL_MAX = 0.1
+"""Longest interval of the samples that a stop at a limit expects again [s]; a longer one is an interruption."""
+
+
+def stop_delay(baud: int) -> float:
+    """Longest time from a sample to the effect of the stop that it causes [s].
+
+    Terms: 20 ms for the computer; line, 300 bytes: the sample (83 bytes), a preceding write of eight points (142 bytes)
+    with its response, and the write of the stop.
+
+    Parameters
+    ----------
+    baud : int
+        Line speed [bit/s].
+    """
+    return 0.02 + 300 * 10 / baud
 
 
 class Arbiter(Part):
@@ -45,6 +59,8 @@ class Arbiter(Part):
         Detects sources that contradict each other.
     limits : callable
         Present limits of every joint, for the distance of a stop; None if the board has not reported them yet.
+    delay : float
+        Longest time from a sample to the effect of a stop, see `stop_delay` [s].
     warn : callable
         Receives messages for the log.
     """
@@ -55,6 +71,7 @@ class Arbiter(Part):
         joints: Sequence[Joint],
         sources: Sources | None = None,
         limits: Callable[[], Sequence[Limits] | None] = lambda: None,
+        delay: float = 0.0,
         warn: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._warn = warn
@@ -64,6 +81,9 @@ class Arbiter(Part):
         self._joints = joint_names(joints)
         self.joints = list(joints)
         self._limits = limits
+        self._delay = delay
+        self._tick: int | None = None  # of the newest sample
+        self._speeds_before = [0.0] * AXES  # of the motors in the sample before it [rad/s]
         self._heading = [0.0] * AXES  # sign of the velocity or effort that an axis follows; 0: none
         self._blocked_heading = [0.0] * AXES  # sign of the one that was stopped at the end of the range; 0: none
         self._reach = catalogue.bits["position"]["REACH"]
@@ -77,7 +97,9 @@ class Arbiter(Part):
     def on_sample(self, snapshot: Snapshot) -> None:
         """Process the newest sample, and pass it on to the source of paths."""
         self.update_axes(snapshot.axes)
-        for reason in self.stop_at_limits():
+        interval = _INTERVAL_MAX if self._tick is None else (snapshot.tick - self._tick) * PERIOD
+        self._tick = snapshot.tick
+        for reason in self.stop_at_limits(interval):
             self._warn(reason)
         lsb = self._variables[Mode.POSITION].lsb
         held = [axis.position if axis.position_ref is None else axis.position_ref for axis in snapshot.axes]
@@ -85,26 +107,39 @@ class Arbiter(Part):
 
     def update_axes(self, axes: Sequence[AxisStatus]) -> None:
         """Update the state of all axes; pending set-points of an axis that accepts none are discarded."""
+        self._speeds_before = [axis.speed for axis in self._axes or axes]
         self._axes = list(axes)
         for axis, status in enumerate(axes):
             if not status.accepts_set_points:
                 self.release_axis(axis, f"{self._joints[axis]} is in {status.label}")
 
-    def stop_at_limits(self) -> list[str]:
-        """Stop the joints that a velocity or an effort would turn out of their range; returns the reasons.
+    def stop_at_limits(self, interval: float) -> list[str]:
+        """Stop the joints that a velocity or an effort would turn out of their range before a stop at the next sample.
 
         Set-points that go on in the same direction are refused then. The range is that of the bridge; the board knows
         only that of its feature POSITION_LIMITS.
+
+        Parameters
+        ----------
+        interval : float
+            Time between the newest two samples, above 0 [s].
+
+        Returns
+        -------
+        list of str
+            Reasons.
         """
         free = [axis for axis in range(AXES) if self._heading[axis] and self.joints[axis].limits.bounded]
         limits = self._limits() if free and self._axes is not None else None
         if limits is None:
             return []
         reasons = []
+        delay = self._delay + min(interval, _INTERVAL_MAX)
         for axis in free:
             position, velocity, heading = self._position(axis), self.velocity(axis), self._heading[axis]
-            rest = position + velocity * (_STOP_DELAY + 0.5 * abs(velocity) / limits[axis].acceleration_max)
-            if velocity * heading > 0.0 and self._is_beyond(axis, rest, heading):
+            fastest = velocity + self._growth(axis, delay / interval)
+            way = 0.5 * (velocity + fastest) * delay + 0.5 * fastest * abs(fastest) / limits[axis].acceleration_max
+            if velocity * heading > 0.0 and self._is_beyond(axis, position + way, heading):
                 self._blocked_heading[axis], self._heading[axis] = heading, 0.0
                 reasons.append(
                     f"{self._joints[axis]} is stopped at {position:.4g} rad and {velocity:.3g} rad/s: it would leave "
@@ -112,6 +147,14 @@ class Arbiter(Part):
                 )
                 self.queue.halt([axis], reasons[-1])
         return reasons
+
+    def _growth(self, axis: int, intervals: float) -> float:
+        """Growth of the velocity of a joint that an effort accelerates, in some intervals of the samples [rad/s]."""
+        holder = self.sources.holder(axis)
+        if holder is None or holder.quantity != _QUANTITY[Mode.TORQUE][0]:
+            return 0.0
+        change = self.velocity(axis) - self.joints[axis].velocity(self._speeds_before[axis])
+        return change * intervals if change * self._heading[axis] > 0.0 else 0.0
 
     def _position(self, axis: int) -> float:
         """Position of a joint [rad]."""
@@ -133,7 +176,7 @@ class Arbiter(Part):
         if self._axes is not None:
             self.block("the link to the board was lost")
         self.queue.lost()
-        self._axes = None
+        self._axes = self._tick = None
         self._torque_constants = None
 
     # ---- release by ``enable``

@@ -22,7 +22,7 @@ from servo_msgs_py.units import PERIOD
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.answers import Answers
-from servo_bridge.arbiter import Arbiter
+from servo_bridge.arbiter import Arbiter, stop_delay
 from servo_bridge.board_context import BoardContext
 from servo_bridge.board_link import BoardLink
 from servo_bridge.bursts.record_service import RecordService
@@ -135,7 +135,13 @@ class Assembly:
         )
 
         # Commands
-        self.arbiter = Arbiter(catalogue, settings.joints, limits=self.path_limits, warn=self._warn)
+        self.arbiter = Arbiter(
+            catalogue,
+            settings.joints,
+            limits=self.path_limits,
+            delay=stop_delay(settings.baud),
+            warn=self._warn,
+        )
         self.arbiter.sources.preferred = settings.preferred_source
         self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self._warn, self._on_applied)
         self.commands = CommandContext(

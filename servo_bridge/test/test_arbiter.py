@@ -84,9 +84,10 @@ def test_a_joint_that_wraps_moves_by_the_shorter_way() -> None:
 @pytest.mark.parametrize("mode", [Mode.SPEED, Mode.TORQUE])
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_velocity_or_an_effort_does_not_turn_a_joint_out_of_its_range(mode: Mode, way: float) -> None:
-    """At 20 rad/s a stop takes 0.05 rad, and 2 rad until it takes effect; from outside the way back is permitted."""
+    """At 20 rad/s a stop takes 0.05 rad, and 1 rad until it takes effect; from outside the way back is permitted."""
     limits = [Limits(acceleration_max=4000.0)] * 2
-    subject = Arbiter(CATALOGUE, [Joint(name, limits=JointLimits(-5.0, 5.0)) for name in JOINTS], limits=lambda: limits)
+    joints = [Joint(name, limits=JointLimits(-5.0, 5.0)) for name in JOINTS]
+    subject = Arbiter(CATALOGUE, joints, limits=lambda: limits, delay=0.04)
     subject.set_torque_constants(KT)
     subject.release()
 
@@ -97,21 +98,36 @@ def test_a_velocity_or_an_effort_does_not_turn_a_joint_out_of_its_range(mode: Mo
     axis1_at(0.0, 0.0)
     subject.submit(request({0: way * 0.01}, mode))
     drain(subject)
-    axis1_at(2.9, 20.0)
-    assert not subject.stop_at_limits()
-    axis1_at(3.0, 20.0)
-    assert len(subject.stop_at_limits()) == 1
+    axis1_at(0.0, 20.0)
+    axis1_at(3.9, 20.0)
+    assert not subject.stop_at_limits(0.01)
+    axis1_at(4.0, 20.0)
+    assert len(subject.stop_at_limits(0.01)) == 1
     assert drain(subject) == [CommandWrite("cmd.mode", 0, (Mode.POSITION.value,))]
-    axis1_at(3.5, 0.0)
+    axis1_at(4.5, 0.0)
     with pytest.raises(Rejected, match="at the end of its range"):
         subject.submit(request({0: way * 0.01}, mode))
     axis1_at(5.1, 0.0)
     subject.submit(request({0: -way * 0.01}, mode))
     axis1_at(5.0, -20.0)
-    assert not subject.stop_at_limits()
+    assert not subject.stop_at_limits(0.01)
     axis1_at(5.1, 0.0)
     with pytest.raises(Rejected, match="at the end of its range"):
         subject.submit(request({0: way * 0.01}, mode))
+
+
+@pytest.mark.parametrize(("mode", "stops"), [(Mode.TORQUE, 1), (Mode.SPEED, 0)])
+def test_an_effort_that_accelerates_a_joint_is_stopped_earlier(mode: Mode, stops: int) -> None:
+    """From 10 rad/s at 0 rad, with 10 rad/s more in each sample: 60 rad/s at the effect of the stop."""
+    joints = [Joint(name, limits=JointLimits(-2.1, 2.1)) for name in JOINTS]
+    limits = [Limits(acceleration_max=4000.0)] * 2
+    subject = Arbiter(CATALOGUE, joints, limits=lambda: limits, delay=0.04)
+    subject.set_torque_constants(KT)
+    subject.release()
+    subject.update_axes((SPINNING, SPINNING))
+    subject.submit(request({0: 0.01}, mode))
+    subject.update_axes((replace(SPINNING, speed=10.0), SPINNING))
+    assert len(subject.stop_at_limits(0.01)) == stops
 
 
 @pytest.mark.parametrize("axis", [0, 1])
