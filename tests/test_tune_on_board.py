@@ -187,7 +187,7 @@ def test_no_loop_is_late_when_both_axes_take_blocks(tmp_path: Path) -> None:
         board.run(0.1)
         for number, source in enumerate((file, CONFIG, file), 1):
             assert bench.tool("tune", source) == 0
-            assert bench.raw("config.taken_count") == [number]
+            assert bench.raw("config.answers") == [number]
         board.run(0.02)
         assert (bench.raw("late_loops"), bench.raw("axis1.faults"), bench.raw("axis2.faults")) == (
             [0],

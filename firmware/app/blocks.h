@@ -83,12 +83,11 @@ typedef struct {
 #define CONFIG_FIRST 1     /* word index: number of the first member */
 #define CONFIG_COUNT 2     /* word index: number of members */
 #define CONFIG_VALUES 3    /* word index: first value */
-#define CONFIG_HEADER 4 /* words of the header: axis, layout, members, checksum */
 
 /* Written by the host to send configuration blocks (app/config_blocks.h). */
 typedef struct {
-    int32_t window[CONFIG_VALUES + CONFIG_TOGETHER]; /* words CONFIG_AXIS .. CONFIG_COUNT, then values of members */
-    int32_t header[CONFIG_HEADER]; /* axis, layout, members, checksum */
+    int32_t window[CONFIG_VALUES + CONFIG_TOGETHER]; /* words CONFIG_AXIS .. CONFIG_COUNT, then values of members;
+                                                      * the checksum has the number AXIS_MEMBERS */
     uint16_t take; /* axes whose spare block is to be activated, one bit each */
     uint16_t unused; /* padding: equal addresses on all processors */
 } config_request_t;
@@ -98,10 +97,10 @@ typedef struct {
     uint32_t layout; /* hash of names and formats of the members */
     uint32_t checksum[HAL_AXES]; /* checksums of the blocks in force */
     uint32_t taken_tick; /* PWM periods since reset at the last activation of a block */
-    uint16_t taken_count; /* activations since reset, modulo 65536 */
     uint16_t answers; /* processed writes of config.take since reset, modulo 65536 */
     uint16_t refusal; /* CONFIG_REFUSAL_ of the last write */
     uint16_t refused_member; /* number of the member that caused the last refusal */
+    uint16_t unused; /* padding: equal addresses on all processors */
 } config_status_t;
 
 #define STORAGE_COPIES 2

@@ -50,6 +50,19 @@ static bool is_busy(const config_blocks_t *blocks, uint32_t axis)
     return holds(blocks->pending, axis) || holds(blocks->reserved, axis);
 }
 
+/* Mark the spare block as ready if its checksum, which follows the last member, is `sum`. */
+static uint16_t write_checksum(config_blocks_t *blocks, uint16_t axis, uint32_t sum)
+{
+    const axis_config_t *block = spare(blocks, axis);
+    if (checksum(block, axis) != sum) {
+        return CONFIG_REFUSAL_CHECKSUM;
+    }
+    blocks->checksum[axis] = sum;
+    blocks->rest_member[axis] = rest_difference(block, config_blocks_in_force(blocks, axis));
+    blocks->ready[axis] = true;
+    return CONFIG_REFUSAL_NONE;
+}
+
 static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, const uint8_t *data, uint16_t size)
 {
     const uint32_t axis = (uint32_t)get_word(data, CONFIG_AXIS);
@@ -58,7 +71,7 @@ static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, c
     if (axis >= HAL_AXES) {
         return CONFIG_REFUSAL_AXIS;
     }
-    if (first >= AXIS_MEMBERS || count > CONFIG_TOGETHER || first + count > AXIS_MEMBERS) {
+    if (first > AXIS_MEMBERS || count > CONFIG_TOGETHER || first + count > AXIS_MEMBERS + 1U) {
         return CONFIG_REFUSAL_MEMBER;
     }
     if (size != 4U * (CONFIG_VALUES + count)) {
@@ -70,7 +83,9 @@ static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, c
     if (is_busy(blocks, axis)) {
         return CONFIG_REFUSAL_BUSY;
     }
-    for (uint16_t k = 0; k < count; k++) {
+    const bool sealed = first + count > AXIS_MEMBERS;
+    const uint16_t members = (uint16_t)(sealed ? count - 1U : count);
+    for (uint16_t k = 0; k < members; k++) {
         const uint16_t number = (uint16_t)(first + k);
         const number_range_t range = axis_member_range(number);
         if (!number_accepts(&range, get_word(data, (uint16_t)(CONFIG_VALUES + k)))) {
@@ -79,38 +94,14 @@ static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, c
         }
     }
     blocks->ready[axis] = false;
-    for (uint16_t k = 0; k < count; k++) {
+    for (uint16_t k = 0; k < members; k++) {
         const int32_t value = get_word(data, (uint16_t)(CONFIG_VALUES + k));
         axis_member_set(spare(blocks, (uint16_t)axis), (uint16_t)(first + k), value);
     }
-    return CONFIG_REFUSAL_NONE;
-}
-
-static uint16_t write_header(config_blocks_t *blocks, const uint8_t *data)
-{
-    const uint32_t axis = (uint32_t)get_word(data, 0);
-    if (axis >= HAL_AXES) {
-        return CONFIG_REFUSAL_AXIS;
+    if (!sealed) {
+        return CONFIG_REFUSAL_NONE;
     }
-    if (is_busy(blocks, axis)) {
-        return CONFIG_REFUSAL_BUSY;
-    }
-    blocks->ready[axis] = false;
-    if ((uint32_t)get_word(data, 1) != AXIS_LAYOUT) {
-        return CONFIG_REFUSAL_LAYOUT;
-    }
-    if ((uint32_t)get_word(data, 2) != AXIS_MEMBERS) {
-        return CONFIG_REFUSAL_LENGTH;
-    }
-    const axis_config_t *block = spare(blocks, (uint16_t)axis);
-    const uint32_t sum = checksum(block, (uint16_t)axis);
-    if ((uint32_t)get_word(data, 3) != sum) {
-        return CONFIG_REFUSAL_CHECKSUM;
-    }
-    blocks->checksum[axis] = sum;
-    blocks->rest_member[axis] = rest_difference(block, config_blocks_in_force(blocks, (uint16_t)axis));
-    blocks->ready[axis] = true;
-    return CONFIG_REFUSAL_NONE;
+    return write_checksum(blocks, (uint16_t)axis, (uint32_t)get_word(data, (uint16_t)(CONFIG_VALUES + members)));
 }
 
 static uint16_t write_take(config_blocks_t *blocks, const uint8_t *data)
@@ -137,8 +128,6 @@ bool config_blocks_accept(config_blocks_t *blocks, config_status_t *status, uint
     uint16_t refusal = CONFIG_REFUSAL_FORM;
     if (whole && offset == offsetof(config_request_t, window) && size >= 4U * CONFIG_VALUES) {
         refusal = write_window(blocks, status, data, size);
-    } else if (whole && offset == offsetof(config_request_t, header) && size == 4U * CONFIG_HEADER) {
-        refusal = write_header(blocks, data);
     } else if (whole && offset == offsetof(config_request_t, take) && size == sizeof(uint16_t)) {
         refusal = write_take(blocks, data);
     }

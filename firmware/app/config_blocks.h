@@ -1,9 +1,9 @@
 /* config_blocks.h - change of the configuration of an axis at run time.
  *
  * Each axis has two blocks: the block in force, and a spare block written by the host. config.window writes members to
- * the spare block, with a range check; config.header contains layout, length and checksum, and marks the spare block as
- * ready; config.take exchanges the blocks of one or both axes between two slow ticks, or refuses all. Members that are
- * not `live` change only at rest with the outputs off.
+ * the spare block, with a range check; the checksum, written after the last member, marks the block as ready;
+ * config.take exchanges the blocks of one or both axes between two slow ticks, or refuses all. Members that are not
+ * `live` change only at rest with the outputs off.
  */
 #ifndef SERVO_APP_CONFIG_BLOCKS_H
 #define SERVO_APP_CONFIG_BLOCKS_H

@@ -93,7 +93,6 @@ static void take_blocks(servo_t *servo)
     if (config_blocks_latch(&servo->config_blocks, status, &servo->parameter, &servo->nominal, servo->axis)) {
         note_applied(servo);
         status->taken_tick = servo->applied_tick;
-        status->taken_count++;
         servo->marks.parameters = true;
         storage_note_change(&servo->storage);
     }

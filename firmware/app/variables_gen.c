@@ -42,200 +42,198 @@ CHECK(22, SIZE(command.test_calls) == 8);
 CHECK(23, SIZE(command.test_point) == 4);
 CHECK(24, SIZE(command.memory.points) == 128);
 CHECK(25, SIZE(config.window) == 100);
-CHECK(26, SIZE(config.header) == 16);
-CHECK(27, SIZE(config.take) == 2);
-CHECK(28, SIZE(config_status.layout) == 4);
-CHECK(29, SIZE(config_status.checksum) == 8);
-CHECK(30, SIZE(config_status.taken_tick) == 4);
-CHECK(31, SIZE(config_status.taken_count) == 2);
-CHECK(32, SIZE(config_status.answers) == 2);
-CHECK(33, SIZE(config_status.refusal) == 2);
-CHECK(34, SIZE(config_status.refused_member) == 2);
-CHECK(35, SIZE(storage_request.request) == 4);
-CHECK(36, SIZE(storage_status.sequence) == 4);
-CHECK(37, SIZE(storage_status.state) == 2);
-CHECK(38, SIZE(storage_status.answered) == 2);
-CHECK(39, SIZE(storage_status.refusal) == 2);
-CHECK(40, SIZE(storage_status.source) == 2);
-CHECK(41, SIZE(storage_status.copy) == 4);
-CHECK(42, SIZE(storage_status.saves) == 2);
-CHECK(43, SIZE(measurement_request.axis) == 2);
-CHECK(44, SIZE(measurement_status.state) == 2);
-CHECK(45, SIZE(measurement_status.ended) == 2);
-CHECK(46, SIZE(parameter.speed_limit) == 8);
-CHECK(47, SIZE(parameter.acceleration_limit) == 8);
-CHECK(48, SIZE(parameter.i_q_limit) == 4);
-CHECK(49, SIZE(parameter.features) == 4);
-CHECK(50, SIZE(parameter.position_min) == 8);
-CHECK(51, SIZE(parameter.position_max) == 8);
-CHECK(52, SIZE(parameter.following_error) == 8);
-CHECK(53, SIZE(parameter.over_speed) == 8);
-CHECK(54, SIZE(parameter.feedback) == 4);
-CHECK(55, SIZE(parameter.on_disable) == 4);
-CHECK(56, SIZE(parameter.on_quick_stop) == 4);
-CHECK(57, SIZE(parameter.faults_enabled) == 8);
-CHECK(58, SIZE(parameter.monitor) == 4);
-CHECK(59, SIZE(parameter.host_timeout) == 2);
-CHECK(60, SIZE(parameter.command_timeout) == 2);
-CHECK(61, SIZE(parameter.brake) == 2);
-CHECK(62, SIZE(snapshot.axis[0].position) == 4);
-CHECK(63, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(64, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(65, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(66, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(67, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(68, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(69, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(70, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(71, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(72, SIZE(snapshot.axis[0].state) == 2);
-CHECK(73, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(74, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(75, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(76, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(77, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(78, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(79, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(80, SIZE(snapshot.axis[0].winding_temperature) == 2);
-CHECK(81, SIZE(snapshot.axis[0].home_state) == 2);
-CHECK(82, SIZE(snapshot.axis[0].inputs) == 2);
-CHECK(83, SIZE(snapshot.monitor[0]) == 2);
-CHECK(84, SIZE(estimate.axis[0].speed) == 4);
-CHECK(85, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(86, SIZE(estimate.axis[0].emf) == 2);
-CHECK(87, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(88, SIZE(record[0].pending) == 4);
-CHECK(89, SIZE(nominal.torque_constant[0]) == 2);
-CHECK(90, SIZE(nominal.acceleration_current[0]) == 4);
-CHECK(91, SIZE(snapshot.axis[1].position) == 4);
-CHECK(92, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(93, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(94, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(95, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(96, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(97, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(98, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(99, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(100, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(101, SIZE(snapshot.axis[1].state) == 2);
-CHECK(102, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(103, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(104, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(105, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(106, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(107, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(108, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(109, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(110, SIZE(snapshot.axis[1].home_state) == 2);
-CHECK(111, SIZE(snapshot.axis[1].inputs) == 2);
-CHECK(112, SIZE(snapshot.monitor[1]) == 2);
-CHECK(113, SIZE(estimate.axis[1].speed) == 4);
-CHECK(114, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(115, SIZE(estimate.axis[1].emf) == 2);
-CHECK(116, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(117, SIZE(record[1].pending) == 4);
-CHECK(118, SIZE(nominal.torque_constant[1]) == 2);
-CHECK(119, SIZE(nominal.acceleration_current[1]) == 4);
-CHECK(120, SIZE(tick) >= 4);
-CHECK(121, SIZE(applied_tick) >= 4);
-CHECK(122, SIZE(applied_count) >= 2);
-CHECK(123, SIZE(axis[0].u_dc) >= 2);
-CHECK(124, SIZE(late_loops) >= 2);
-CHECK(125, SIZE(points_refused) >= 2);
-CHECK(126, SIZE(point_refusal) >= 2);
-CHECK(127, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(128, SIZE(axis[0].feedback.position) >= 4);
-CHECK(129, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(130, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(131, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(132, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(133, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(134, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(135, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(136, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(137, SIZE(axis[0].latch.captured) >= 4);
-CHECK(138, SIZE(axis[0].latch.first) >= 2);
-CHECK(139, SIZE(axis[0].active_limits) >= 2);
-CHECK(140, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(141, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(142, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(143, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(144, SIZE(axis[0].home.state) >= 2);
-CHECK(145, SIZE(axis[0].inputs) >= 2);
-CHECK(146, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(147, SIZE(axis[0].estimate.size) >= 2);
-CHECK(148, SIZE(axis[0].latch.pending) >= 4);
-CHECK(149, SIZE(axis[0].home.result) >= 2);
-CHECK(150, SIZE(axis[0].home.spread) >= 2);
-CHECK(151, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(152, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(153, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(154, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(155, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(156, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(157, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(158, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(159, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(160, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(161, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(162, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(163, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(164, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(165, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(166, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(167, SIZE(axis[0].test_signal.point) >= 2);
-CHECK(168, SIZE(axis[0].test_signal.value) >= 2);
-CHECK(169, SIZE(axis[0].startup.angle) >= 4);
-CHECK(170, SIZE(axis[0].command.mode) >= 2);
-CHECK(171, SIZE(axis[0].events.command) >= 2);
-CHECK(172, SIZE(axis[0].events.mode) >= 2);
-CHECK(173, SIZE(axis[0].sm.entered) >= 2);
-CHECK(174, SIZE(axis[1].feedback.position) >= 4);
-CHECK(175, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(176, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(177, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(178, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(179, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(180, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(181, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(182, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(183, SIZE(axis[1].latch.captured) >= 4);
-CHECK(184, SIZE(axis[1].latch.first) >= 2);
-CHECK(185, SIZE(axis[1].active_limits) >= 2);
-CHECK(186, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(187, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(188, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(189, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(190, SIZE(axis[1].home.state) >= 2);
-CHECK(191, SIZE(axis[1].inputs) >= 2);
-CHECK(192, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(193, SIZE(axis[1].estimate.size) >= 2);
-CHECK(194, SIZE(axis[1].latch.pending) >= 4);
-CHECK(195, SIZE(axis[1].home.result) >= 2);
-CHECK(196, SIZE(axis[1].home.spread) >= 2);
-CHECK(197, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(198, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(199, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(200, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(201, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(202, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(203, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(204, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(205, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(206, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(207, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(208, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(209, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(210, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(211, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(212, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(213, SIZE(axis[1].test_signal.point) >= 2);
-CHECK(214, SIZE(axis[1].test_signal.value) >= 2);
-CHECK(215, SIZE(axis[1].startup.angle) >= 4);
-CHECK(216, SIZE(axis[1].command.mode) >= 2);
-CHECK(217, SIZE(axis[1].events.command) >= 2);
-CHECK(218, SIZE(axis[1].events.mode) >= 2);
-CHECK(219, SIZE(axis[1].sm.entered) >= 2);
+CHECK(26, SIZE(config.take) == 2);
+CHECK(27, SIZE(config_status.layout) == 4);
+CHECK(28, SIZE(config_status.checksum) == 8);
+CHECK(29, SIZE(config_status.taken_tick) == 4);
+CHECK(30, SIZE(config_status.answers) == 2);
+CHECK(31, SIZE(config_status.refusal) == 2);
+CHECK(32, SIZE(config_status.refused_member) == 2);
+CHECK(33, SIZE(storage_request.request) == 4);
+CHECK(34, SIZE(storage_status.sequence) == 4);
+CHECK(35, SIZE(storage_status.state) == 2);
+CHECK(36, SIZE(storage_status.answered) == 2);
+CHECK(37, SIZE(storage_status.refusal) == 2);
+CHECK(38, SIZE(storage_status.source) == 2);
+CHECK(39, SIZE(storage_status.copy) == 4);
+CHECK(40, SIZE(storage_status.saves) == 2);
+CHECK(41, SIZE(measurement_request.axis) == 2);
+CHECK(42, SIZE(measurement_status.state) == 2);
+CHECK(43, SIZE(measurement_status.ended) == 2);
+CHECK(44, SIZE(parameter.speed_limit) == 8);
+CHECK(45, SIZE(parameter.acceleration_limit) == 8);
+CHECK(46, SIZE(parameter.i_q_limit) == 4);
+CHECK(47, SIZE(parameter.features) == 4);
+CHECK(48, SIZE(parameter.position_min) == 8);
+CHECK(49, SIZE(parameter.position_max) == 8);
+CHECK(50, SIZE(parameter.following_error) == 8);
+CHECK(51, SIZE(parameter.over_speed) == 8);
+CHECK(52, SIZE(parameter.feedback) == 4);
+CHECK(53, SIZE(parameter.on_disable) == 4);
+CHECK(54, SIZE(parameter.on_quick_stop) == 4);
+CHECK(55, SIZE(parameter.faults_enabled) == 8);
+CHECK(56, SIZE(parameter.monitor) == 4);
+CHECK(57, SIZE(parameter.host_timeout) == 2);
+CHECK(58, SIZE(parameter.command_timeout) == 2);
+CHECK(59, SIZE(parameter.brake) == 2);
+CHECK(60, SIZE(snapshot.axis[0].position) == 4);
+CHECK(61, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(62, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(63, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(64, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(65, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(66, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(67, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(68, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(69, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(70, SIZE(snapshot.axis[0].state) == 2);
+CHECK(71, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(72, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(73, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(74, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(75, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(76, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(77, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(78, SIZE(snapshot.axis[0].winding_temperature) == 2);
+CHECK(79, SIZE(snapshot.axis[0].home_state) == 2);
+CHECK(80, SIZE(snapshot.axis[0].inputs) == 2);
+CHECK(81, SIZE(snapshot.monitor[0]) == 2);
+CHECK(82, SIZE(estimate.axis[0].speed) == 4);
+CHECK(83, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(84, SIZE(estimate.axis[0].emf) == 2);
+CHECK(85, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(86, SIZE(record[0].pending) == 4);
+CHECK(87, SIZE(nominal.torque_constant[0]) == 2);
+CHECK(88, SIZE(nominal.acceleration_current[0]) == 4);
+CHECK(89, SIZE(snapshot.axis[1].position) == 4);
+CHECK(90, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(91, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(92, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(93, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(94, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(95, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(96, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(97, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(98, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(99, SIZE(snapshot.axis[1].state) == 2);
+CHECK(100, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(101, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(102, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(103, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(104, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(105, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(106, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(107, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(108, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(109, SIZE(snapshot.axis[1].inputs) == 2);
+CHECK(110, SIZE(snapshot.monitor[1]) == 2);
+CHECK(111, SIZE(estimate.axis[1].speed) == 4);
+CHECK(112, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(113, SIZE(estimate.axis[1].emf) == 2);
+CHECK(114, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(115, SIZE(record[1].pending) == 4);
+CHECK(116, SIZE(nominal.torque_constant[1]) == 2);
+CHECK(117, SIZE(nominal.acceleration_current[1]) == 4);
+CHECK(118, SIZE(tick) >= 4);
+CHECK(119, SIZE(applied_tick) >= 4);
+CHECK(120, SIZE(applied_count) >= 2);
+CHECK(121, SIZE(axis[0].u_dc) >= 2);
+CHECK(122, SIZE(late_loops) >= 2);
+CHECK(123, SIZE(points_refused) >= 2);
+CHECK(124, SIZE(point_refusal) >= 2);
+CHECK(125, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(126, SIZE(axis[0].feedback.position) >= 4);
+CHECK(127, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(128, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(129, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(130, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(131, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(132, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(133, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(134, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(135, SIZE(axis[0].latch.captured) >= 4);
+CHECK(136, SIZE(axis[0].latch.first) >= 2);
+CHECK(137, SIZE(axis[0].active_limits) >= 2);
+CHECK(138, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(139, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(140, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(141, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(142, SIZE(axis[0].home.state) >= 2);
+CHECK(143, SIZE(axis[0].inputs) >= 2);
+CHECK(144, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(145, SIZE(axis[0].estimate.size) >= 2);
+CHECK(146, SIZE(axis[0].latch.pending) >= 4);
+CHECK(147, SIZE(axis[0].home.result) >= 2);
+CHECK(148, SIZE(axis[0].home.spread) >= 2);
+CHECK(149, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(150, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(151, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(152, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(153, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(154, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(155, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(156, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(157, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(158, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(159, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(160, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(161, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(162, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(163, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(164, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(165, SIZE(axis[0].test_signal.point) >= 2);
+CHECK(166, SIZE(axis[0].test_signal.value) >= 2);
+CHECK(167, SIZE(axis[0].startup.angle) >= 4);
+CHECK(168, SIZE(axis[0].command.mode) >= 2);
+CHECK(169, SIZE(axis[0].events.command) >= 2);
+CHECK(170, SIZE(axis[0].events.mode) >= 2);
+CHECK(171, SIZE(axis[0].sm.entered) >= 2);
+CHECK(172, SIZE(axis[1].feedback.position) >= 4);
+CHECK(173, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(174, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(175, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(176, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(177, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(178, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(179, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(180, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(181, SIZE(axis[1].latch.captured) >= 4);
+CHECK(182, SIZE(axis[1].latch.first) >= 2);
+CHECK(183, SIZE(axis[1].active_limits) >= 2);
+CHECK(184, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(185, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(186, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(187, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(188, SIZE(axis[1].home.state) >= 2);
+CHECK(189, SIZE(axis[1].inputs) >= 2);
+CHECK(190, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(191, SIZE(axis[1].estimate.size) >= 2);
+CHECK(192, SIZE(axis[1].latch.pending) >= 4);
+CHECK(193, SIZE(axis[1].home.result) >= 2);
+CHECK(194, SIZE(axis[1].home.spread) >= 2);
+CHECK(195, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(196, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(197, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(198, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(199, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(200, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(201, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(202, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(203, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(204, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(205, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(206, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(207, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(208, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(209, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(210, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(211, SIZE(axis[1].test_signal.point) >= 2);
+CHECK(212, SIZE(axis[1].test_signal.value) >= 2);
+CHECK(213, SIZE(axis[1].startup.angle) >= 4);
+CHECK(214, SIZE(axis[1].command.mode) >= 2);
+CHECK(215, SIZE(axis[1].events.command) >= 2);
+CHECK(216, SIZE(axis[1].events.mode) >= 2);
+CHECK(217, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -422,12 +420,10 @@ static const char strings[] TABLE_MEMORY =
     "cmd.test_point\0"
     "cmd.points\0"
     "config.window\0"
-    "config.header\0"
     "config.take\0"
     "config.layout\0"
     "config.checksum\0"
     "config.taken_tick\0"
-    "config.taken_count\0"
     "config.answers\0"
     "config.refusal\0"
     "config.refused_member\0"
@@ -791,155 +787,153 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {1571, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
     {1586, 1140, AT(command.memory.points), SIZE(command.memory.points), TSA_KIND_RW}, /* cmd.points */
     {1597, 1140, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1611, 1140, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {1625, 1035, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1637, 1006, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1651, 1006, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1667, 1006, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1685, 1035, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1704, 1035, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1719, 1035, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1734, 1035, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1756, 1035, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
-    {1772, 1006, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
-    {1789, 721, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
-    {1803, 1035, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
-    {1820, 865, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
-    {1836, 757, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
-    {1851, 797, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
-    {1864, 1035, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
-    {1878, 1035, AT(measurement_request.axis), SIZE(measurement_request.axis), TSA_KIND_RW}, /* measurement.axis */
-    {1895, 897, AT(measurement_status.state), SIZE(measurement_status.state), TSA_KIND_RO}, /* measurement.state */
-    {1913, 932, AT(measurement_status.ended), SIZE(measurement_status.ended), TSA_KIND_RO}, /* measurement.ended */
-    {1931, 1161, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1949, 1161, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1974, 1042, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1990, 1035, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {2005, 1140, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {2024, 1140, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {2043, 1140, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {2065, 1161, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {2082, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {2097, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {2114, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {2134, 1006, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {2155, 546, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {2169, 1035, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {2188, 1035, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {2210, 1035, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {2222, 1161, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {2231, 1140, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {2246, 1140, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {2265, 1161, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {2277, 1161, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {2293, 1042, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {2303, 1042, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {2313, 1042, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {2327, 1042, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {2337, 1042, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {2347, 1042, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {2361, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {2373, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {2388, 1006, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {2401, 1035, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {2419, 1035, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {2432, 1035, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {2453, 1035, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {2472, 1035, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {2490, 1042, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {2516, 1042, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {2538, 326, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {2555, 1035, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
-    {2568, 1042, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {2582, 1161, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2603, 1042, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2626, 1042, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2645, 1035, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2669, 1006, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2683, 1324, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2702, 454, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2720, 1035, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2738, 1042, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2760, 1140, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2787, 1042, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2797, 1042, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2807, 1042, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2817, 1042, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2831, 1042, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2844, 1042, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2857, 1042, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2870, 1140, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2881, 1140, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2892, 1140, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2907, 1161, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2923, 1161, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2942, 1161, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2958, 1140, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2974, 1140, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2990, 1140, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {3005, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
-    {3022, 1042, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
-    {3040, 1042, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
-    {3057, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
-    {3068, 1035, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {3088, 1035, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {3105, 1035, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {3123, 1140, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {3138, 1140, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {3157, 1161, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {3169, 1161, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {3185, 1042, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {3195, 1042, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {3205, 1042, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {3219, 1042, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {3229, 1042, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {3239, 1042, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {3253, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {3265, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {3280, 1006, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {3293, 1035, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {3311, 1035, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {3324, 1035, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {3345, 1035, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {3364, 1035, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {3382, 1042, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {3408, 1042, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {3430, 326, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {3447, 1035, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
-    {3460, 1042, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {3474, 1161, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {3495, 1042, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {3518, 1042, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {3537, 1035, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {3561, 1006, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {3575, 1324, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {3594, 454, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {3612, 1035, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3630, 1042, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3652, 1140, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3679, 1042, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3689, 1042, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3699, 1042, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3709, 1042, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3723, 1042, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3736, 1042, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3749, 1042, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3762, 1140, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3773, 1140, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3784, 1140, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3799, 1161, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3815, 1161, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3834, 1161, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3850, 1140, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3866, 1140, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3882, 1140, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3897, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
-    {3914, 1042, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
-    {3932, 1042, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
-    {3949, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3960, 1035, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3980, 1035, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3997, 1035, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {1611, 1035, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1623, 1006, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1637, 1006, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1653, 1006, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1671, 1035, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1686, 1035, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1701, 1035, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1723, 1035, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1739, 1006, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1756, 721, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1770, 1035, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1787, 865, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1803, 757, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1818, 797, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1831, 1035, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1845, 1035, AT(measurement_request.axis), SIZE(measurement_request.axis), TSA_KIND_RW}, /* measurement.axis */
+    {1862, 897, AT(measurement_status.state), SIZE(measurement_status.state), TSA_KIND_RO}, /* measurement.state */
+    {1880, 932, AT(measurement_status.ended), SIZE(measurement_status.ended), TSA_KIND_RO}, /* measurement.ended */
+    {1898, 1161, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1916, 1161, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1941, 1042, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1957, 1035, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1972, 1140, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1991, 1140, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {2010, 1140, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {2032, 1161, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {2049, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {2064, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {2081, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {2101, 1006, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {2122, 546, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {2136, 1035, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {2155, 1035, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {2177, 1035, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {2189, 1161, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {2198, 1140, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {2213, 1140, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {2232, 1161, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2244, 1161, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2260, 1042, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2270, 1042, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2280, 1042, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2294, 1042, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2304, 1042, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2314, 1042, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2328, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2340, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2355, 1006, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2368, 1035, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2386, 1035, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2399, 1035, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2420, 1035, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2439, 1035, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2457, 1042, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2483, 1042, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2505, 326, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2522, 1035, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {2535, 1042, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2549, 1161, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2570, 1042, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2593, 1042, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2612, 1035, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2636, 1006, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2650, 1324, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2669, 454, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2687, 1035, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2705, 1042, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2727, 1140, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2754, 1042, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2764, 1042, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2774, 1042, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2784, 1042, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2798, 1042, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2811, 1042, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2824, 1042, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2837, 1140, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2848, 1140, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2859, 1140, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2874, 1161, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2890, 1161, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2909, 1161, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2925, 1140, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2941, 1140, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2957, 1140, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2972, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
+    {2989, 1042, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
+    {3007, 1042, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
+    {3024, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
+    {3035, 1035, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {3055, 1035, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {3072, 1035, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {3090, 1140, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {3105, 1140, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {3124, 1161, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {3136, 1161, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {3152, 1042, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {3162, 1042, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {3172, 1042, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {3186, 1042, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {3196, 1042, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {3206, 1042, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {3220, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {3232, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {3247, 1006, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {3260, 1035, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {3278, 1035, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {3291, 1035, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3312, 1035, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3331, 1035, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3349, 1042, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3375, 1042, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3397, 326, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3414, 1035, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {3427, 1042, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3441, 1161, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3462, 1042, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3485, 1042, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3504, 1035, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3528, 1006, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3542, 1324, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3561, 454, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3579, 1035, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3597, 1042, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3619, 1140, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3646, 1042, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3656, 1042, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3666, 1042, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3676, 1042, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3690, 1042, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3703, 1042, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3716, 1042, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3729, 1140, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3740, 1140, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3751, 1140, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3766, 1161, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3782, 1161, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3801, 1161, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3817, 1140, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3833, 1140, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3849, 1140, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3864, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
+    {3881, 1042, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
+    {3899, 1042, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
+    {3916, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3927, 1035, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3947, 1035, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3964, 1035, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -1058,7 +1052,7 @@ static const uint16_t refusal_offsets[] = {161, 261, 266, 271, 277, 286, 115, 12
 const name_list_t servo_refusal_names = {refusal_offsets, 12};
 static const uint16_t copy_offsets[] = {811, 817, 824, 832, 845, 858};
 const name_list_t servo_copy_names = {copy_offsets, 6};
-static const uint16_t fault_offsets[] = {4015, 4028, 4042, 4055, 4070, 190, 4083, 4095, 4103, 4111, 4124, 4140, 4151, 4168, 4185, 4194, 4209, 4224, 4235, 4249, 4259, 4268, 355, 4286, 4299};
+static const uint16_t fault_offsets[] = {3982, 3995, 4009, 4022, 4037, 190, 4050, 4062, 4070, 4078, 4091, 4107, 4118, 4135, 4152, 4161, 4176, 4191, 4202, 4216, 4226, 4235, 355, 4253, 4266};
 const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
@@ -1079,7 +1073,6 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(command.test_point), 2, {0U, INT32_C(0), INT32_C(4)}}, /* cmd.test_point */
     {OFFSET(command.memory.points), 32, {NUMBER_WIDE | NUMBER_SIGNED, INT32_MIN, INT32_C(2147483647)}}, /* cmd.points */
     {OFFSET(config.window), 25, {NUMBER_WIDE | NUMBER_SIGNED, INT32_MIN, INT32_C(2147483647)}}, /* config.window */
-    {OFFSET(config.header), 4, {NUMBER_WIDE | NUMBER_SIGNED, INT32_MIN, INT32_C(2147483647)}}, /* config.header */
     {OFFSET(config.take), 1, {0U, INT32_C(0), INT32_C(3)}}, /* config.take */
     {OFFSET(storage_request.request), 2, {0U, INT32_C(0), INT32_C(65535)}}, /* storage.request */
     {OFFSET(measurement_request.axis), 1, {0U, INT32_C(0), INT32_C(2)}}, /* measurement.axis */

@@ -200,7 +200,7 @@ def test_all_values_are_restored_after_a_reset(core: Core, data: st.DataObject) 
     assert bench.source() == "COPY_A"
     assert [read_block(bench, axis) for axis in range(2)] == blocks
     bench.slow(2)
-    assert bench.read_words("config.taken_count") == [0]
+    assert bench.read_words("config.answers") == [0]
 
 
 def test_the_set_in_the_flash_has_the_documented_format(bench: StorageBench) -> None:

@@ -1,8 +1,7 @@
 """Transfer of configuration blocks to and from a board, by any access to its variables.
 
-A block is sent in parts through ``config.window``; the board checks each part. ``config.header`` with the checksum of
-the whole block marks it as complete, and ``config.take`` applies the complete blocks of one axis or both in one slow
-tick.
+A block is sent in parts through ``config.window``; the board checks each part. The checksum after the last member marks
+the block as complete, and ``config.take`` applies the complete blocks of one axis or both in one slow tick.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ _TEXTS: Final[Mapping[str, str]] = {
     "MEMBER": "this member does not exist on the board: host and board have different versions",
     "RANGE": "is outside the range that the board accepts",
     "LAYOUT": "the layout of the block on the board is different: flash the firmware of this release",
-    "LENGTH": "the number of members on the board is different: flash the firmware of this release",
     "CHECKSUM": "the checksum of the received block is wrong; send it again",
     "UNCHECKED": "no complete block has been received since the last one was applied; send it again",
     "MOTION": "can only be changed at standstill with the outputs off: disable the axis and wait for standstill",
@@ -74,7 +72,7 @@ def read_block(memory: BoardWords, axis: int) -> dict[str, int]:
 
 
 def send_block(memory: BoardWords, axis: int, block: Mapping[str, int]) -> None:
-    """Write a block and its header, without applying it.
+    """Write a block and its checksum, without applying it.
 
     Raises
     ------
@@ -84,13 +82,11 @@ def send_block(memory: BoardWords, axis: int, block: Mapping[str, int]) -> None:
         If the board refuses.
     """
     table = AxisConfigTable.load()
-    words, step = table.words(block), _members_per_window()
-    checksum = table.checksum(axis, block)
+    words, step = [*table.words(block), _signed(table.checksum(axis, block))], _members_per_window()
     _compare_layout(memory, table)
     for first in range(0, len(words), step):
         part = words[first : first + step]
         _write(memory, "config.window", [axis, first, len(part), *part])
-    _write(memory, "config.header", [axis, _signed(table.layout), len(table), _signed(checksum)])
 
 
 def take_blocks(board: BoardPort, axes: Sequence[int]) -> AppliedBlocks:

@@ -203,7 +203,7 @@ class TestConfiguration:
             rig.run(0.3)
             rig.tune({1: self.other_gains(rig, 1)})
             rig.run(0.3)
-            assert rig.board.read_words("config.taken_count") == [2]
+            assert rig.board.read_words("config.answers") == [2]
             assert rig.twin.synchronisations == 1
             for pair in rig.pairs:
                 for name, value in pair.twin.items():

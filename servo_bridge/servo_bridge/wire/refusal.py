@@ -27,7 +27,7 @@ def refusal_text(catalogue: Catalogue, variable: Variable, data: bytes, offset: 
         points = decode_points(catalogue, raw)
         ends = [f"{p.position:g} rad of {axis_name(p.axis)} at {p.tick * PERIOD:g} s" for p in (points[0], points[-1])]
         return f"cmd.points: the board refuses {len(points)} timed points, from {ends[0]} to {ends[1]} of its time"
-    if variable.name in ("config.window", "config.header"):
+    if variable.name == "config.window":
         return f"{variable.name}: the board refuses {len(raw)} words of a configuration; send it again"
     low, high = variable.raw_range
     for element, number in enumerate(raw, first):

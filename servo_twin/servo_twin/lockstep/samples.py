@@ -15,7 +15,7 @@ from servo_msgs_py.convert import state_label
 
 from servo_msgs_py import topics
 
-PER_BOARD: Final = frozenset({"tick", "applied_tick", "applied_count", "config.taken_tick", "config.taken_count"})
+PER_BOARD: Final = frozenset({"tick", "applied_tick", "applied_count", "config.taken_tick"})
 """Counters that are independent on each board."""
 
 ROTOR_REFERENCED: Final = ("position", "position_ref")

@@ -85,17 +85,15 @@ def hot_winding(rig: Rig) -> None:
 
 def _refusals(rig: Rig, block: dict[str, int]) -> None:
     words = _TABLE.words(block)
-    header = [1, _TABLE.layout - (1 << 32) * (_TABLE.layout >> 31), len(_TABLE), 0]
+    wrong_checksum = [1, len(_TABLE), 1, 0]
     for part in (
         [2, 0, 0], [0, -1, 0], [0, 0, 25, 0], [0, 0, 2, 0], [0, 0, 1, -1], [0, 0],
-        [1, list(block).index("stop.ramp"), 1, 1],
+        [1, list(block).index("stop.ramp"), 1, 1], [1, len(_TABLE) - 1, 3, 0, 0, 0], wrong_checksum,
     ):  # fmt: skip
         rig.write_words("config.window", part)
-    for wrong in ([2, *header[1:]], [1, 0, *header[2:]], [*header[:2], 1, 0], header):
-        rig.write_words("config.header", wrong)
     for axes in (0, 4, 2):
         rig.write_words("config.take", [axes])
-    for busy in (("config.take", [2]), ("config.window", [1, 0, 1, words[0]]), ("config.header", header)):
+    for busy in (("config.take", [2]), ("config.window", [1, 0, 1, words[0]]), ("config.window", wrong_checksum)):
         for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # one of them is early in a slow tick
             send_block(rig, 1, block)
             rig.run(later)
