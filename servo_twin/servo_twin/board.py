@@ -34,6 +34,7 @@ from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
 from servo_twin.level import Level, chosen_level
 from servo_twin.plant import FIXED_NAMES, PlantConfig, PlantError
 from servo_twin.servo_config import ServoConfig
+from servo_twin.truth import Truth
 
 try:
     import servo_twin._native as _ideal_module
@@ -52,7 +53,6 @@ __all__ = [
     "Firmware",
     "FlashState",
     "SimulationError",
-    "Truth",
 ]
 
 
@@ -115,42 +115,6 @@ class ChipError(BoardError, SimulationError):
 
 TRACE_ENTRY: Final = np.dtype([("clock", "<u8"), ("kind", "<u2"), ("a", "<u2"), ("b", "<u4")])
 """Layout of an entry of a trace (``trace_entry_t`` in chip/trace.h, with the list of kinds)."""
-
-
-class Truth(NamedTuple):
-    """True state of the plant.
-
-    Instantaneous values, except where noted: at level ``registers`` at `Board.time_ns` (steps of 10 ns), at level
-    ``ideal`` at the end of the last half PWM cycle (31.25 us). Temperatures are updated every 1 ms.
-    """
-
-    theta_m: float  # mechanical angle, not wrapped [rad]
-    omega_m: float  # mechanical speed [rad/s]
-    i_d: float
-    """Stator current of the d axis [A]; with PWM ripple at level ``registers``, without it at level ``ideal``, whose
-    plant is averaged over half cycles."""
-    i_q: float  # stator current of the q axis, as `i_d` [A]
-    torque_e: float  # air-gap torque of these currents [N m]
-    impulse_e: float  # integral of the air-gap torque since power-on [N m s]
-    u_a: float
-    """Mean voltage of the motor terminal against the midpoint of `u_dc` [V]; at level ``registers`` over the last
-    complete PWM period (62.5 us, counted from power-on), at level ``ideal`` over the last half cycle."""
-    u_b: float  # as `u_a` [V]
-    u_c: float  # as `u_a` [V]
-    t_sink: float  # temperature of the axis' power stage [deg C]
-    t_winding: float  # temperature of the motor's winding [deg C]
-    u_dc: float  # bus voltage [V]
-    e_brake: float  # energy dissipated in the brake resistor since power-on [J]
-    t_brake: float  # temperature of the brake resistor [deg C]
-    brake_holds: float  # 1: the holding brake is closed, 0: it is open
-    theta_load: float  # angle of the second mass; without one, of the rotor [rad]
-    omega_load: float  # speed of the second mass; without one, of the rotor [rad/s]
-    torque_shaft: float  # between rotor and second mass, mean of the step of the plant that contains the instant [N m]
-    t_magnet: float  # temperature of the magnet [deg C]
-    r_s: float  # resistance at these temperatures [ohm]
-    psi_m: float  # magnet's flux linkage at these temperatures [V s]
-    l_d: float  # inductance for small changes of `i_d` [H]
-    l_q: float  # inductance for small changes of `i_q` [H]
 
 
 _truth_values: Final = attrgetter(*Truth._fields)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
-import re
 import subprocess
 import tempfile
 import xml.etree.ElementTree as ET
@@ -24,7 +23,8 @@ from servo_twin._board_pointers import write_pointers
 from servo_twin._build_native import COMPILER, EXTRA, FIRMWARE, IDEAL, NATIVE, OPTIONS, board_files, build_identity
 from servo_twin.board import Board
 from servo_twin.board_memory import SimulationError
-from servo_twin.plant import AxisPlant, BusPlant, PinsPlant, PlantConfig, ranges
+from servo_twin.plant import AxisPlant, BusPlant, PinsPlant, PlantConfig, quantities
+from servo_twin.truth import QUANTITIES as TRUTH
 
 MODEL: Final = "servo_board"
 _BOOT: Final = 0.03  # until the parameters of the firmware have their values [s]
@@ -145,36 +145,22 @@ def _elements(board: Board) -> Iterator[_Element]:
             )
 
 
-def _members(structure: str) -> list[tuple[str, str, str]]:
-    """Name, unit and description of each number in a structure of ``board.h``, in the order of the memory."""
-    header = (NATIVE / "board.h").read_text(encoding="utf-8")
-    body = next(m[1] for m in re.finditer(r"typedef struct \{(.*?)\} (\w+);", header, re.DOTALL) if m[2] == structure)
-    rows: list[tuple[str, str, str]] = []
-    for names, comment in re.findall(r"double ([^;]+);(?:\s*/\*(.*?)\*/)?", body, re.DOTALL):
-        text = " ".join(comment.split())
-        unit = re.findall(r"\[([^\]]*)\]", text)
-        for one in names.split(","):
-            name, _, count = one.strip().rstrip("]").partition("[")
-            for k in range(int(count or 1)):
-                rows.append((f"{name}_{k}" if count else name, unit[-1] if unit else "", text))
-    return rows
-
-
 class _Number(NamedTuple):
     """A number of a structure of ``board.h``."""
 
     name: str
-    unit: str
-    text: str
     value: float
     valid: Quantity
 
 
-def _parameters(structure: str, values: Mapping[str, Any], *parts: type) -> list[_Number]:
+def _parameters(values: Mapping[str, Any], *parts: type) -> list[_Number]:
     """Numbers of a structure, which contains these parts of the plant, in the order of the memory."""
-    valid = {name: one for part in parts for name, one in ranges(part).items()}
-    rows = zip(_members(structure), _numbers(values), strict=True)
-    return [_Number(*row, value, valid.get(row[0], _ANY)) for row, value in rows]
+    known = {name: one for part in parts for name, one in quantities(part).items()}
+    return [
+        _Number(f"{name}_{k}" if isinstance(value, Sequence) else name, number, known[name])
+        for name, value in values.items()
+        for k, number in enumerate(_listed(value))
+    ]
 
 
 def _ranges_text(name: str, parameters: Sequence[_Number]) -> str:
@@ -192,11 +178,6 @@ def _listed(value: Any) -> list[float]:
     return list(map(float, value)) if isinstance(value, Sequence) else [float(value)]
 
 
-def _numbers(values: Mapping[str, Any]) -> list[float]:
-    """Values of a structure of ``board.h``, by name, in the order of the memory."""
-    return [number for value in values.values() for number in _listed(value)]
-
-
 def _c_members(values: Mapping[str, Any]) -> str:
     """Initialiser of such a structure."""
 
@@ -208,11 +189,11 @@ def _c_members(values: Mapping[str, Any]) -> str:
 
 
 def _axis_parameters(plant: PlantConfig, axis: int) -> list[_Number]:
-    return _parameters("plant_axis_t", plant.axes[axis].members(), AxisPlant, PinsPlant)
+    return _parameters(plant.axes[axis].members(), AxisPlant, PinsPlant)
 
 
 def _bus_parameters(plant: PlantConfig) -> list[_Number]:
-    return _parameters("plant_bus_t", vars(plant.bus), BusPlant)
+    return _parameters(vars(plant.bus), BusPlant)
 
 
 def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], token: str) -> str:
@@ -251,9 +232,9 @@ def _variables(plant: PlantConfig, elements: Sequence[_Element]) -> Iterator[_Va
         given = None if e.causality == "output" else e.start
         yield _Variable(e.name, reference("firmware", k), e.causality, e.unit, e.text, given)
     for axis in range(AXES):
-        for k, (name, unit, text) in enumerate(_members("board_truth_t")):
+        for k, (name, one) in enumerate(TRUTH.items()):
             index = reference("truth", k, axis)
-            yield _Variable(f"truth.{axis_name(axis)}.{name}", index, "output", unit, text or name)
+            yield _Variable(f"truth.{axis_name(axis)}.{name}", index, "output", one.unit, one.text)
         for k, number in enumerate(_axis_parameters(plant, axis)):
             index = reference("plant", k, axis)
             yield _parameter(f"plant.{axis_name(axis)}", index, number)
@@ -262,8 +243,8 @@ def _variables(plant: PlantConfig, elements: Sequence[_Element]) -> Iterator[_Va
 
 
 def _parameter(part: str, reference: int, number: _Number) -> _Variable:
-    name = f"{part}.{number.name}"
-    return _Variable(name, reference, "parameter", number.unit, number.text, number.value, number.valid)
+    valid = number.valid
+    return _Variable(f"{part}.{number.name}", reference, "parameter", valid.unit, valid.text, number.value, valid)
 
 
 def _description(variables: Sequence[_Variable], token: str) -> bytes:

@@ -6,14 +6,14 @@ import dataclasses
 import difflib
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar, cast, get_type_hints
+from typing import Any, Final, Literal, cast
 
 from servo_msgs_py.catalogue import AXIS_NAMES
-from servo_msgs_py.quantity import ABOVE_0, Quantity
+from servo_msgs_py.quantity import ABOVE_0, FINITE, Quantity
 from servo_msgs_py.text_file import TextFileError, read_toml, toml_text
 
 STOP_STIFFNESS_MAX: Final = 0.06
@@ -33,35 +33,31 @@ class PlantError(ValueError):
     """Invalid plant data; the message contains the value and the valid range."""
 
 
-_T = TypeVar("_T")
-_FINITE: Final = Quantity()
-_FIXED: Final = "fixed"
-
-Positive = Annotated[float, Quantity(minimum=ABOVE_0)]
-NotNegative = Annotated[float, Quantity(minimum=0.0)]
-Whole = Annotated[float, Quantity(minimum=1.0, whole=True)]
-Finite = Annotated[float, _FINITE]
-Angle = Annotated[float, Quantity(minimum=-math.inf, maximum=math.inf)]
-Switch = Annotated[float, Quantity(minimum=0.0, maximum=1.0, whole=True)]
-MagnetChange = Annotated[float, Quantity(minimum=-0.01, maximum=0.01)]
-Eccentricity = Annotated[float, Quantity(minimum=0.0, maximum=0.2)]
-DutyError = Annotated[float, Quantity(minimum=-0.2, maximum=0.2)]
-Hysteresis = Annotated[float, Quantity(minimum=0.0, maximum=math.nextafter(0.5, 0.0))]
-
-Fixed = Annotated[_T, _FIXED]
-"""Marks a value that cannot be changed while a board runs; all other numbers of a plant can."""
+def _number(
+    unit: str,
+    text: str,
+    *,
+    minimum: float = -FINITE,
+    maximum: float = FINITE,
+    whole: bool = False,
+    fixed: bool = False,
+    default: object = dataclasses.MISSING,
+) -> Any:
+    """Field of a plant: a number with unit, description and range; `fixed`: it cannot be changed while a board runs."""
+    valid = Quantity(unit=unit, text=text, minimum=minimum, maximum=maximum, whole=whole)
+    return field(default=default, metadata={"valid": valid, "fixed": fixed})
 
 
-@cache
-def _marks(part: type) -> Sequence[tuple[str, object]]:
-    """Names of the fields with their ranges and other marks, in the order of the fields."""
-    hints = get_type_hints(part, include_extras=True).items()
-    return [(name, mark) for name, hint in hints for mark in getattr(hint, "__metadata__", ())]
+_positive = partial(_number, minimum=ABOVE_0)
+_not_negative = partial(_number, minimum=0.0)
+_whole = partial(_number, minimum=1.0, whole=True)
+_angle = partial(_number, minimum=-math.inf, maximum=math.inf)
+_switch = partial(_number, minimum=0.0, maximum=1.0, whole=True)
 
 
-def ranges(part: type) -> dict[str, Quantity]:
-    """Valid values of the numbers of a part of the plant, by name; numbers without a range are left out."""
-    return {name: mark for name, mark in _marks(part) if isinstance(mark, Quantity)}
+def quantities(part: type) -> dict[str, Quantity]:
+    """Unit, description and range of the numbers of a part of the plant, by name, in the order of the fields."""
+    return {one.name: one.metadata["valid"] for one in dataclasses.fields(part) if one.metadata}
 
 
 def _check(where: str, value: object, valid: Quantity) -> None:
@@ -70,24 +66,29 @@ def _check(where: str, value: object, valid: Quantity) -> None:
         raise PlantError(f"{where}: {value!r} is {problem}; write {valid.expected}")
 
 
-def _check_fields(part: Any) -> None:
-    """Check all fields with a range."""
-    for name, valid in ranges(part.__class__).items():
-        _check(name, getattr(part, name), valid)
+def _check_fields(part: Any, *checked: str) -> None:
+    """Check all numbers that are not `checked` elsewhere."""
+    for name, valid in quantities(part.__class__).items():
+        if name not in checked:
+            _check(name, getattr(part, name), valid)
 
 
 @dataclass(frozen=True)
 class PinsPlant:
     """Devices at the pins of one axis."""
 
-    home_from: Angle = math.inf  # mechanical angle from which the home switch is closed [rad]
-    home_to: Angle = -math.inf  # mechanical angle up to which the home switch is closed [rad]
-    limit_min: Angle = -math.inf  # mechanical angle below which the lower limit switch opens [rad]; infinite: never
-    limit_max: Angle = math.inf  # mechanical angle above which the upper limit switch opens [rad]; infinite: never
-    enable_closed: Switch = 1.0  # 1: the enable circuit is closed; 0: it is open
-    brake_torque: NotNegative = 0.0  # torque of the holding brake; 0: no brake [N m]
-    brake_open_time: NotNegative = 0.0  # from energising the coil to the open brake [s]
-    brake_close_time: NotNegative = 0.0  # from de-energising the coil to the closed brake [s]
+    home_from: float = _angle("rad", "mechanical angle from which the home switch is closed", default=math.inf)
+    home_to: float = _angle("rad", "mechanical angle up to which the home switch is closed", default=-math.inf)
+    limit_min: float = _angle(
+        "rad", "mechanical angle below which the lower limit switch opens; infinite: never", default=-math.inf
+    )
+    limit_max: float = _angle(
+        "rad", "mechanical angle above which the upper limit switch opens; infinite: never", default=math.inf
+    )
+    enable_closed: float = _switch("", "1: the enable circuit is closed; 0: it is open", default=1.0)
+    brake_torque: float = _not_negative("N m", "torque of the holding brake; 0: no brake", default=0.0)
+    brake_open_time: float = _not_negative("s", "from energising the coil to the open brake", default=0.0)
+    brake_close_time: float = _not_negative("s", "from de-energising the coil to the closed brake", default=0.0)
 
     def __post_init__(self) -> None:
         _check_fields(self)
@@ -95,67 +96,91 @@ class PinsPlant:
 
 @dataclass(frozen=True)
 class AxisPlant:
-    """Motor, shaft, encoder, inverter and current sensors of one axis."""
+    """Motor, shaft, encoder, inverter and current sensors of one axis, in the order of the C structure."""
 
-    r_s: Positive  # stator resistance [ohm]
-    l_d: Positive  # stator inductance, d axis [H]
-    l_q: Positive  # stator inductance, q axis [H]
-    psi_m: NotNegative  # permanent-magnet flux linkage, electrical [V s]
-    pole_pairs: Fixed[Whole]  # pole pairs (electrical per mechanical revolutions)
+    r_s: float = _positive("ohm", "stator resistance")
+    l_d: float = _positive("H", "stator inductance, d axis")
+    l_q: float = _positive("H", "stator inductance, q axis")
+    psi_m: float = _not_negative("V s", "permanent-magnet flux linkage, electrical")
+    pole_pairs: float = _whole("", "pole pairs (electrical per mechanical revolutions)", fixed=True)
 
-    inertia: Positive  # total inertia [kg m^2]
-    friction: NotNegative  # Coulomb friction [N m]
-    viscous: NotNegative  # viscous friction [N m s]
+    inertia: float = _positive("kg m^2", "total inertia")
+    friction: float = _not_negative("N m", "Coulomb friction")
+    viscous: float = _not_negative("N m s", "viscous friction")
 
-    load_torque: Finite  # external torque, opposes positive motion; acts on the second mass if there is one [N m]
-    load_inertia: NotNegative  # inertia of the second mass at the elastic shaft; 0: no second mass [kg m^2]
-    shaft_stiffness: NotNegative  # stiffness of the elastic shaft [N m/rad]
-    shaft_damping: NotNegative  # damping of the elastic shaft [N m s]
-    backlash: NotNegative  # total backlash of the elastic shaft [rad]
-    load_friction: NotNegative  # Coulomb friction of the second mass [N m]
+    load_inertia: float = _not_negative("kg m^2", "inertia of the second mass at the elastic shaft; 0: no second mass")
+    shaft_stiffness: float = _not_negative("N m/rad", "stiffness of the elastic shaft")
+    shaft_damping: float = _not_negative("N m s", "damping of the elastic shaft")
+    backlash: float = _not_negative("rad", "total backlash of the elastic shaft")
+    load_friction: float = _not_negative("N m", "Coulomb friction of the second mass")
 
-    cogging_torque: NotNegative  # amplitude of the cogging torque [N m]
-    cogging_periods: Whole  # cogging periods per revolution
-    cogging_phase: Finite  # phase of the cogging torque [rad]
+    cogging_torque: float = _not_negative("N m", "amplitude of the cogging torque")
+    cogging_periods: float = _whole("", "cogging periods per revolution")
+    cogging_phase: float = _number("rad", "phase of the cogging torque")
 
-    i_saturation_d: NotNegative  # saturation current of `l_d` (the unsaturated inductance); 0: no saturation [A]
-    i_saturation_q: NotNegative  # saturation current of `l_q`; 0: no saturation [A]
-    winding_warms: Switch  # 1: `r_s` follows the winding temperature at level ``ideal``, as at ``registers``
-    magnet_coefficient: MagnetChange  # relative change of `psi_m` (given at ambient temperature) [1/K]
-    magnet_time: NotNegative  # time constant between winding and magnet temperature [s]
+    i_saturation_d: float = _not_negative(
+        "A", "saturation current of `l_d` (the unsaturated inductance); 0: no saturation"
+    )
+    i_saturation_q: float = _not_negative("A", "saturation current of `l_q`; 0: no saturation")
+    winding_warms: float = _switch(
+        "", "1: `r_s` follows the winding temperature at level ``ideal``, as at ``registers``"
+    )
+    magnet_coefficient: float = _number(
+        "1/K", "relative change of `psi_m` (given at ambient temperature)", minimum=-0.01, maximum=0.01
+    )
+    magnet_time: float = _not_negative("s", "time constant between winding and magnet temperature")
 
-    disc_eccentricity: Eccentricity  # amplitude of the encoder error with one period per revolution [rad]
-    disc_phase: Finite  # phase of the eccentricity error [rad]
+    disc_eccentricity: float = _number(
+        "rad", "amplitude of the encoder error with one period per revolution", minimum=0.0, maximum=0.2
+    )
+    disc_phase: float = _number("rad", "phase of the eccentricity error")
 
-    stop_min: Finite  # mechanical rotor angle of the lower end stop [rad]
-    stop_max: Finite  # mechanical rotor angle of the upper end stop [rad]
-    stop_stiffness: NotNegative  # stiffness of both end stops; 0: no end stops [N m/rad]
-    stop_damping: NotNegative  # damping of both end stops [N m s]
+    load_torque: float = _number(
+        "N m", "external torque, opposes positive motion; acts on the second mass if there is one"
+    )
 
-    encoder_lines: Fixed[Whole]  # lines per revolution; four counts per line
-    theta_start: Fixed[float | Literal["random"]]  # mechanical rotor angle at time zero [rad]; random: from the seed
+    stop_min: float = _number("rad", "mechanical rotor angle of the lower end stop")
+    stop_max: float = _number("rad", "mechanical rotor angle of the upper end stop")
+    stop_stiffness: float = _not_negative("N m/rad", "stiffness of both end stops; 0: no end stops")
+    stop_damping: float = _not_negative("N m s", "damping of both end stops")
 
-    i_full_scale: Positive  # range of the ADC: ``-i_full_scale .. +i_full_scale`` [A]
-    i_offset: tuple[float, float, float]  # offset of each current amplifier [A]
-    i_noise: NotNegative  # standard deviation of a current sample [A]
-    i_break: Positive  # hardware over-current threshold of a phase [A]
+    encoder_lines: float = _whole("", "lines per revolution; four counts per line", fixed=True)
+    theta_start: float | Literal["random"] = _number(
+        "rad", "mechanical rotor angle at time zero; random: from the seed", fixed=True
+    )
 
-    dead_time: Fixed[NotNegative]  # time with both switches of a leg open, at every edge [s]
-    v_drop: NotNegative  # forward drop of switch and diode [V]
-    r_on: NotNegative  # resistance of switch and diode [ohm]
+    i_full_scale: float = _positive("A", "range of the ADC: ``-i_full_scale .. +i_full_scale``")
+    i_offset: tuple[float, float, float] = _number("A", "offset of each current amplifier")
+    i_noise: float = _not_negative("A", "standard deviation of a current sample")
+    i_break: float = _positive("A", "hardware over-current threshold of a phase")
 
-    dead_time_min: NotNegative
-    """Shortest permitted dead time of the switches: with less, the leg shorts the bus for the difference, which trips
-    the comparator [s]. This value and the four that follow have an effect at level ``registers`` only."""
-    i_settle: Fixed[NotNegative]  # time constant of the current amplifiers [s]
-    encoder_jitter: Fixed[NotNegative]  # standard deviation of an edge of the encoder [counts]
-    encoder_duty_error: Fixed[DutyError]  # duty cycle of an encoder line, minus 1/2
-    encoder_hysteresis: Fixed[Hysteresis]  # hysteresis of an edge between the two directions [counts]
+    dead_time: float = _not_negative("s", "time with both switches of a leg open, at every edge", fixed=True)
+    v_drop: float = _not_negative("V", "forward drop of switch and diode")
+    r_on: float = _not_negative("ohm", "resistance of switch and diode")
 
-    winding_capacity: Positive  # thermal capacity of the winding [J/K]
-    winding_resistance: Positive  # thermal resistance from the winding to the ambient air [K/W]
-    sink_capacity: Positive  # thermal capacity of the inverter's heatsink [J/K]
-    sink_resistance: Positive  # thermal resistance from the heatsink to the ambient air [K/W]
+    # The next five have an effect at level ``registers`` only.
+    dead_time_min: float = _not_negative(
+        "s",
+        "shortest permitted dead time of the switches; with less, the leg shorts the bus for the difference, which "
+        "trips the comparator",
+    )
+    i_settle: float = _not_negative("s", "time constant of the current amplifiers", fixed=True)
+    encoder_jitter: float = _not_negative("counts", "standard deviation of an edge of the encoder", fixed=True)
+    encoder_duty_error: float = _number(
+        "", "duty cycle of an encoder line, minus 1/2", minimum=-0.2, maximum=0.2, fixed=True
+    )
+    encoder_hysteresis: float = _number(
+        "counts",
+        "hysteresis of an edge between the two directions",
+        minimum=0.0,
+        maximum=math.nextafter(0.5, 0.0),
+        fixed=True,
+    )
+
+    winding_capacity: float = _positive("J/K", "thermal capacity of the winding")
+    winding_resistance: float = _positive("K/W", "thermal resistance from the winding to the ambient air")
+    sink_capacity: float = _positive("J/K", "thermal capacity of the inverter's heatsink")
+    sink_resistance: float = _positive("K/W", "thermal resistance from the heatsink to the ambient air")
 
     pins: PinsPlant = field(default_factory=PinsPlant)  # devices at the pins
 
@@ -163,7 +188,7 @@ class AxisPlant:
         pins: object = self.pins
         if isinstance(pins, Mapping):
             object.__setattr__(self, "pins", _part(PinsPlant, "pins", {"pins": pins}))
-        _check_fields(self)
+        _check_fields(self, "theta_start", "i_offset")
         if self.stop_min > self.stop_max:
             raise PlantError(f"stop_min: {self.stop_min!r} is above stop_max = {self.stop_max!r}")
         if self.load_inertia > 0.0 and self.shaft_stiffness == 0.0:
@@ -179,12 +204,12 @@ class AxisPlant:
                 f"with these masses the maximum is {DAMPING_MAX / self._inverse_reduced_inertia:.3g}"
             )
         if self.theta_start != "random":
-            _check("theta_start", self.theta_start, _FINITE)
+            _check("theta_start", self.theta_start, Quantity())
         offsets: object = self.i_offset
         if not isinstance(offsets, (tuple, list)) or len(offsets) != 3:
             raise PlantError(f"i_offset: {offsets!r} is not a list of three currents")
         for value in offsets:
-            _check("i_offset", value, _FINITE)
+            _check("i_offset", value, Quantity())
         object.__setattr__(self, "i_offset", tuple(map(float, offsets)))
 
     def members(self) -> dict[str, Any]:
@@ -211,14 +236,14 @@ class AxisPlant:
 class BusPlant:
     """Common supply and capacitor of both axes, and the voltage sensor."""
 
-    u_source: NotNegative  # open-circuit voltage of the supply [V]
-    r_source: Positive  # internal resistance of the supply [ohm]; the supply cannot absorb energy
-    capacitance: Positive  # capacitance of the bus [F]
-    u_full_scale: Positive  # full scale of the ADC [V]
-    u_noise: NotNegative  # standard deviation of a voltage sample [V]
-    r_brake: NotNegative  # brake resistor [ohm]; 0: none
-    brake_capacity: Positive  # heat capacity of the brake resistor [J/K]
-    brake_resistance: Positive  # thermal resistance from the brake resistor to the ambient air [K/W]
+    u_source: float = _not_negative("V", "open-circuit voltage of the supply")
+    r_source: float = _positive("ohm", "internal resistance of the supply; the supply cannot absorb energy")
+    capacitance: float = _positive("F", "capacitance of the bus")
+    u_full_scale: float = _positive("V", "full scale of the ADC")
+    u_noise: float = _not_negative("V", "standard deviation of a voltage sample")
+    r_brake: float = _not_negative("ohm", "brake resistor; 0: none")
+    brake_capacity: float = _positive("J/K", "heat capacity of the brake resistor")
+    brake_resistance: float = _positive("K/W", "thermal resistance from the brake resistor to the ambient air")
 
     def __post_init__(self) -> None:
         _check_fields(self)
@@ -230,8 +255,8 @@ class PlantConfig:
 
     axes: tuple[AxisPlant, AxisPlant]  # axis 1 and axis 2
     bus: BusPlant  # the DC bus
-    pwm_frequency: Fixed[Positive]  # carrier of the inverters [Hz]
-    ambient: Fixed[Finite]  # temperature of the ambient air [deg C]
+    pwm_frequency: float = _positive("Hz", "carrier of the inverters", fixed=True)
+    ambient: float = _number("deg C", "temperature of the ambient air", fixed=True)
 
     def __post_init__(self) -> None:
         _check_fields(self)
@@ -336,9 +361,12 @@ class PlantConfig:
 
 
 FIXED_NAMES: Final = frozenset(
-    name for part in (AxisPlant, PlantConfig) for name, mark in _marks(part) if mark == _FIXED
+    one.name
+    for part in (AxisPlant, PlantConfig)
+    for one in dataclasses.fields(part)
+    if one.metadata.get("fixed", False)
 )
-"""Names of the values marked `Fixed`."""
+"""Names of the numbers that cannot be changed while a board runs."""
 
 
 def _replaced(place: Any, name: str, value: float) -> Any:

@@ -28,7 +28,7 @@ from fmuloader.fmi3 import Fmi3Slave
 SEED: Final = 3
 PERIOD_NS: Final = 62_500
 NOISE: Final = CurrentNoise(0, 0.1)
-PLANT: Final = PlantConfig.load().with_axis(0, theta_start=0.5, friction=3e-3)
+PLANT: Final = PlantConfig.load().with_axis(0, theta_start=0.5, friction=3e-3, load_torque=1e-4, disc_phase=0.3)
 
 
 def unpacked(path: Path) -> Path:
@@ -182,8 +182,17 @@ def test_another_importer_gets_the_same_bits(
     other.free_instance()
 
 
+def test_parameters_have_value_start_and_unit_of_the_plant(fmu: Instance, description: ModelDescription) -> None:
+    variables = {v.name: v for v in description.modelVariables}
+    parts = {"axis1": PLANT.axes[0].members(), "bus": vars(PLANT.bus)}
+    numbers = {f"plant.{part}.{name}": value for part, values in parts.items() for name, value in values.items()}
+    numbers |= {f"plant.axis1.i_offset_{k}": value for k, value in enumerate(numbers.pop("plant.axis1.i_offset"))}
+    for name, value in numbers.items():
+        assert (fmu.get(name), float(variables[name].start)) == (value, value), name
+    assert (variables["plant.axis1.r_s"].unit, variables["truth.axis2.impulse_e"].unit) == ("ohm", "N m s")
+
+
 def test_parameters_are_the_plant(fmu: Instance) -> None:
-    assert fmu.get("plant.axis1.friction") == 3e-3
     assert fmu.get("axis2.param.i_q_limit") == pytest.approx(4.0, abs=1e-3)
     fmu.set("axis2.param.i_q_limit", 1.0)
     fmu.set("plant.axis2.theta_start", 1.25)

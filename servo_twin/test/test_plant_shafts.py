@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.board_port import choose, write_axis
-from servo_twin.board import Board, Truth
+from servo_twin.board import Board
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
+from servo_twin.truth import Truth
 
 LEVELS: list[Level] = ["ideal", "registers"]
 PERIOD = 62_500  # [ns]
