@@ -1,4 +1,4 @@
-"""Numbers of the board are stated once, in ``board.toml``."""
+"""Numbers of the board are stated once, in its description."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from servo_msgs_py.catalogue import Catalogue, board_description
+from servo_msgs_py.board_description import DEFAULT_BOARD, BoardDescription
+from servo_msgs_py.catalogue import Catalogue
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 FOLDERS: Final = (
@@ -15,7 +16,7 @@ FOLDERS: Final = (
     *("servo_bridge/servo_bridge", "servo_twin/servo_twin", "servo_twin/native"),
 )
 STATED: Final = {
-    "servo_msgs_py/servo_msgs_py/board.toml",
+    f"servo_msgs_py/servo_msgs_py/boards/{DEFAULT_BOARD}.toml",
     "servo_twin/servo_twin/plant.toml",  # the virtual board, which may differ from the real one
     "firmware/config/servo.toml",  # stop.short_current, a choice that happens to be the range of the shunts
 }
@@ -30,7 +31,7 @@ def sources() -> Iterator[Path]:
 
 
 def test_no_source_repeats_a_range_of_the_board() -> None:
-    numbers = [*board_description()["ranges"].values(), Catalogue.load().full_scale("stator_voltage")]
+    numbers = [*BoardDescription.load().ranges.values(), Catalogue.load().full_scale("stator_voltage")]
     number = re.compile("|".join(rf"(?<![\d.]){re.escape(f'{one:g}')}(?![\d])" for one in numbers))
     found = {
         path.relative_to(ROOT).as_posix()

@@ -200,7 +200,7 @@ void servo_host_init(servo_t *servo, const servo_config_t *config)
         .samples = servo->samples,
         .samples_size = (uint16_t)sizeof servo->samples,
         .tsa = &servo_variables,
-        .name = "servo",
+        .name = "servo/" BOARD_NAME, /* the host knows the application and its board by it */
         .description = "dual-axis PMSM servo",
         .version = "servo FreeMASTER 4",
         .build = "reproducible", /* no date: equal sources give equal images */

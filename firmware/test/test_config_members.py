@@ -119,6 +119,9 @@ def test_a_file_of_a_board_has_all_members_of_all_axes() -> None:
     del complete["axis2"]["members"]["pll.kp"]
     with pytest.raises(ConfigError, match=r"axis2\.members\.pll\.kp is missing"):
         board_file.blocks_of(complete)
+    complete["board"]["name"] = "mine"
+    with pytest.raises(ConfigError, match=r"board\.name = 'mine': the file is for another board"):
+        board_file.blocks_of(complete)
     assert board_file.blocks_of(table()) is None
     assert board_file.blocks_of({}) is None
 

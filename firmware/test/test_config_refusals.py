@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 import pytest
+from servo_msgs_py.board_description import DEFAULT_BOARD, BoardDescription
 from servo_msgs_py.quantity import VALUE_MAX, Quantity
 from servo_tuning.assessment import assess
 from servo_tuning.braking import brake_constants
@@ -104,6 +105,8 @@ NAMES: list[tuple[str, dict[str, object], str]] = [
     ("number instead of an axis", {"axis1": 5}, "axis1 = 5: not a table"),
     ("list instead of defaults", {"defaults": [1]}, "defaults = [1]: not a table"),
     ("text instead of the board", {"board": "mine"}, "board = 'mine': not a table"),
+    ("other board", {"board__name": "mine"}, "board.name = 'mine': the file is for another board"),
+    ("number instead of a name", {"board__name": 7}, "board.name = 7: the file is for another board"),
     ("one point", {"board__temperature__table": [[0.0, 0]]}, "and strictly monotonic codes 0 .. 4096"),
 ]
 
@@ -121,6 +124,12 @@ def test_missing_table_is_refused(name: str) -> None:
     del whole[name]
     with pytest.raises(ConfigError, match=rf"{name}.*is missing"):
         parse(whole, CATALOGUE)
+
+
+def test_a_file_that_names_no_board_is_for_the_default_board() -> None:
+    whole = table()
+    del whole["board"]["name"]
+    assert parse(whole, CATALOGUE).board.description == BoardDescription.load(DEFAULT_BOARD)
 
 
 def test_missing_switch_is_refused() -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from servo_msgs_py.board_description import board_of
 from servo_msgs_py.board_parameters import RawParameters, si
 from servo_msgs_py.board_storage import Storage
 from servo_msgs_py.catalogue import Catalogue, axis_name
@@ -152,6 +153,7 @@ class Health:
             {
                 **{_words(name): counts.get(name, "unknown") for name in BOARD_COUNTERS},
                 "name": info.name,
+                "hardware": board_of(info.name) or "unknown",
                 "version": info.version,
                 "build": info.build,
                 "catalogue hash": f"{self._catalogue.hash:08X}",

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from servo_msgs_py.board_description import board_of
 from servo_msgs_py.catalogue import Catalogue, Value, numbers
 from servo_msgs_py.output_file import check_output, named, write_file
 from servo_msgs_py.table_text import aligned
@@ -64,6 +65,7 @@ def info(context: Context) -> int:
         ("port", f"{context.port} at {context.baud} baud"),
         ("low latency", context.low_latency.text),
         ("board", f"{board.name or '(no name)'} {board.description}".rstrip()),
+        ("hardware", board_of(board.name) or ""),
         ("built", board.build),
         ("driver", f"FreeMASTER v{board.protocol} {board.version}".rstrip()),
         ("buffer", f"{board.mtu} bytes"),

@@ -28,7 +28,7 @@ class FakeServo(FakeTarget):
         clock: Callable[[], int] = time.monotonic_ns,
         **options: object,
     ) -> None:
-        super().__init__(mtu=254, scope_limit=28, config={"NM": b"servo\0"}, **options)  # type: ignore[arg-type]
+        super().__init__(mtu=254, scope_limit=28, config={"NM": f"servo/{catalogue.board.name}\0".encode()}, **options)  # type: ignore[arg-type]
         self.catalogue = catalogue
         self.clock = clock
         self.start_ns = clock()

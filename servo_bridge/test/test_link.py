@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from fake_port import FakePort
-from fake_servo import FakeServo
+from fake_servo import CATALOGUE, FakeServo
 from fake_target import RO
 from link_watcher import TIMEOUT, StartLink, Watcher
 from servo_bridge.freemaster.errors import StatusError
@@ -26,7 +26,7 @@ def test_samples_have_increasing_ticks(connected: Watcher, fake_board: FakeServo
     assert connected.link.layout.names[0] == "tick"
     assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
     assert connected.link.board is not None
-    assert connected.link.board.name == "servo"
+    assert connected.link.board.name == f"servo/{CATALOGUE.board.name}"
     fake_board.put("axis1.position", 1234)
     connected.wait(
         lambda: connected.samples[-1].value("axis1.position") == pytest.approx(1234 * 2 * 3.14159265359 / 4000)

@@ -70,6 +70,22 @@ def test_board_of_another_version_is_refused() -> None:
     assert not mismatch.foreign
 
 
+def test_another_board_is_refused_with_its_name_and_the_known_ones() -> None:
+    board = FakeServo()
+    board.config["NM"] = b"servo/mine\0"
+    mismatch = session_on(board).mismatch
+    assert mismatch is not None
+    assert "'mine' is not the board" in mismatch.reason
+    assert f"known are {CATALOGUE.board.name}" in mismatch.reason
+    assert not mismatch.foreign
+
+
+def test_firmware_that_does_not_name_its_board_is_for_the_default_board() -> None:
+    board = FakeServo()
+    board.config["NM"] = b"servo\0"
+    assert session_on(board).mismatch is None
+
+
 def test_board_with_another_catalogue_is_read_by_its_own_types() -> None:
     target = FakeTarget(
         tables=[[FakeEntry("gain", b"\xf4:3.12", 0x1000, 2, RW), FakeEntry("n", b"\xe1", 0x1002, 2, RO)]]

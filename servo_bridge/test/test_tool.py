@@ -66,7 +66,8 @@ def test_info_shows_the_board_and_its_contract(
 ) -> None:
     assert run("info") == 0
     out = capsys.readouterr().out
-    assert "servo test target" in out
+    assert f"servo/{CATALOGUE.board.name} test target" in out
+    assert next(line for line in out.splitlines() if line.startswith("hardware")).split()[1] == CATALOGUE.board.name
     assert "matches" in out
     assert "axis1.state" in out
     assert "FAULT" in out

@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.quantity import Format, Quantity
 from servo_msgs_py.text_file import TextFileError, read_toml
 from servo_msgs_py.units import to_raw
@@ -218,17 +219,20 @@ class Catalogue:
     bits: Mapping[str, Mapping[str, int]]
     scales: Mapping[str, Scale]
     hash: int
+    board: BoardDescription  # whose ranges are full scales
     structs: Mapping[str, tuple[Variable, ...]] = field(default_factory=dict)
     """Members of blocks without variables, in memory order; name and path are the C name."""
 
     @classmethod
-    def load(cls, path: Path | None = None) -> Catalogue:
+    def load(cls, path: Path | None = None, board: BoardDescription | None = None) -> Catalogue:
         """Read a table.
 
         Parameters
         ----------
         path : Path, optional
             Another table than the packaged one.
+        board : BoardDescription, optional
+            Board whose ranges are full scales; `board_description.DEFAULT_BOARD` by default.
 
         Raises
         ------
@@ -237,7 +241,9 @@ class Catalogue:
         OSError
             If the file cannot be read.
         """
-        return _packaged() if path is None else _read(path)
+        if path is None and board is None:
+            return _packaged()
+        return _read(path or _PACKAGED, board or BoardDescription.load())
 
     def full_scale(self, name: str) -> float:
         """SI value of 1.0 of the scale of a fraction."""
@@ -246,9 +252,10 @@ class Catalogue:
         return value
 
     @classmethod
-    def parse(cls, table: Mapping[str, Any]) -> Catalogue:
+    def parse(cls, table: Mapping[str, Any], board: BoardDescription | None = None) -> Catalogue:
         """Build a catalogue from the parsed table; see `load`."""
-        scales = _scales(table.get("scales", {}))
+        board = board or BoardDescription.load()
+        scales = _scales(table.get("scales", {}), board)
         enums = {name: dict(entries) for name, entries in table.get("enums", {}).items()}
         flags = {
             name: tuple(
@@ -270,7 +277,7 @@ class Catalogue:
             )
             for name, members in table.get("structs", {}).items()
         }
-        return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags, structs), structs)
+        return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags, structs), board, structs)
 
     def __getitem__(self, name: str) -> Variable:
         """Variable by name; the text of the `KeyError` contains the closest names."""
@@ -300,26 +307,23 @@ class Catalogue:
         return [v for v in self.variables.values() if v.path.startswith("snapshot.")]
 
 
+_PACKAGED: Final = Path(__file__).with_name("variables.toml")
+
+
 @lru_cache(maxsize=1)
 def _packaged() -> Catalogue:
     """Catalogue of the packaged table, cached: parsing takes milliseconds."""
-    return _read(Path(__file__).with_name("variables.toml"))
+    return _read(_PACKAGED, BoardDescription.load())
 
 
-def _read(source: Path) -> Catalogue:
+def _read(source: Path, board: BoardDescription) -> Catalogue:
     try:
-        return Catalogue.parse(read_toml(source))
+        return Catalogue.parse(read_toml(source), board)
     except (CatalogueError, TextFileError) as error:
         raise CatalogueError(f"{source}: {error}") from None
 
 
-@lru_cache(maxsize=1)
-def board_description() -> Mapping[str, Any]:
-    """The packaged ``board.toml``: name and ranges of the board."""
-    return read_toml(Path(__file__).with_name("board.toml"))
-
-
-def _scales(table: Mapping[str, Mapping[str, Any]]) -> dict[str, Scale]:
+def _scales(table: Mapping[str, Mapping[str, Any]], board: BoardDescription) -> dict[str, Scale]:
     """Scales in their order: numbers, ranges of the board, and multiples of earlier scales."""
     scales: dict[str, Scale] = {}
 
@@ -331,7 +335,7 @@ def _scales(table: Mapping[str, Mapping[str, Any]]) -> dict[str, Scale]:
     for name, entry in table.items():
         full_scale, lsb = entry.get("full_scale"), entry.get("lsb")
         if "range" in entry:
-            full_scale = board_description()["ranges"][entry["range"]]
+            full_scale = board.ranges[entry["range"]]
         elif "of" in entry:
             times, divisor = entry.get("ratio", (1, 1))
             value = full(entry["of"]) * times / divisor / (full(entry["over"]) if "over" in entry else 1.0)

@@ -37,6 +37,7 @@ def contract_header(catalogue: Catalogue) -> str:
     """Enumerations, flag masks, hash of the table, and the masks of all writable bits of flag words."""
     lines = [_BANNER, "#ifndef SERVO_CONTRACT_GEN_H\n#define SERVO_CONTRACT_GEN_H\n\n#include <stdint.h>\n"]
     lines.append(f"#define CATALOGUE_HASH UINT32_C(0x{catalogue.hash:08X})\n")
+    lines.append(f'#define BOARD_NAME "{catalogue.board.name}"\n')
     lines.append(f"#define POSITION_PER_TURN {COUNTS_PER_TURN} /* position counts */\n")
     lines.append(f"#define PARAMETER_VALUES {sum(v.count for v in parameters(catalogue))}U\n")
     for name, entries in catalogue.enums.items():

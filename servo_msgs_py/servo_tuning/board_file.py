@@ -1,4 +1,4 @@
-"""Files of all members of all axes, and nothing else: the content of a board, which needs no tuning code."""
+"""Files of the members of all axes and the name of their board, and nothing else: the content of a board."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from servo_msgs_py.axis_config import AxisConfigTable, Member
-from servo_msgs_py.catalogue import AXIS_NAMES, axis_name
+from servo_msgs_py.board_description import DEFAULT_BOARD
+from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue, axis_name
 
+from servo_tuning.configuration import check_board_name
 from servo_tuning.control_loops import control_loops
 from servo_tuning.errors import ConfigError
 from servo_tuning.members import MEMBERS, read_members
@@ -23,10 +25,14 @@ def blocks_of(table: Mapping[str, Any]) -> list[dict[str, int]] | None:
     Raises
     ------
     ConfigError
-        If a member is missing, unknown or would be refused by a board.
+        If a member is missing, unknown or would be refused by a board, or the file is for another board.
     """
-    if not table or any(not isinstance(axis, Mapping) or set(axis) != {MEMBERS} for axis in table.values()):
+    board, axes = table.get("board", {}), {name: axis for name, axis in table.items() if name != "board"}
+    if not axes or any(not isinstance(axis, Mapping) or set(axis) != {MEMBERS} for axis in axes.values()):
         return None
+    if set(board) - {"name"}:
+        return None
+    check_board_name(board.get("name", DEFAULT_BOARD), Catalogue.load().board)
     blocks = []
     for name in AXIS_NAMES:
         where = f"{name}.{MEMBERS}"
@@ -41,6 +47,7 @@ def blocks_of(table: Mapping[str, Any]) -> list[dict[str, int]] | None:
 def text_of(blocks: Sequence[Mapping[str, int]], heading: str) -> str:
     """TOML text of blocks, with the nominal motor and the loops of each as comments; `blocks_of` reads it."""
     lines = [f"# {line}" for line in heading.splitlines()]
+    lines += ["", "[board]", f'name = "{Catalogue.load().board.name}"']
     for axis, block in enumerate(blocks):
         lines += ["", *(f"# {line}" for line in _summary(block)), f"[{axis_name(axis)}.{MEMBERS}]"]
         for path, member in AxisConfigTable.load().members.items():

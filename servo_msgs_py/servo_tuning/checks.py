@@ -6,7 +6,7 @@ import itertools
 import math
 from typing import Final
 
-from servo_msgs_py.catalogue import Catalogue, Variable, board_description
+from servo_msgs_py.catalogue import Catalogue, Variable
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
@@ -67,8 +67,7 @@ def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
             raise board.refused(key, "fixed by the firmware", exactly(f"board.{key}", float(expected)))
     for key in ("nominal_voltage", "over_voltage"):
         if board(key) >= scales.u_dc:
-            name = board_description()["name"]
-            reason = f"not below {scales.u_dc:g} V, the largest bus voltage of the board {name}"
+            reason = f"not below {scales.u_dc:g} V, the largest bus voltage of the board {board.description.name}"
             raise board.refused(key, reason, lower(f"board.{key}"))
     order = ("under_voltage", "nominal_voltage", "over_voltage")
     for below, above in itertools.pairwise(order):

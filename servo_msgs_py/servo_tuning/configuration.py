@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+from servo_msgs_py.board_description import DEFAULT_BOARD, BoardDescription, OtherBoardError, check_board
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_tuning.errors import ConfigError, Entry, Problem, Remedy, problem, refused
@@ -55,6 +56,7 @@ class Board:
     temperature: Temperature  # of the heat sinks
     brake: bool  # whether there is a brake resistor
     passwords: Mapping[str, str]  # entry of each level that has one: a hash, or the name of an environment variable
+    description: BoardDescription  # what the hardware gives
     complete: bool = True
     """Whether [board.brake] and [board.regeneration] are present: both or neither. No configuration block of an axis
     depends on them."""
@@ -78,33 +80,48 @@ class Board:
         return self("nominal_voltage") / math.sqrt(3.0) * self("voltage_use")
 
     @classmethod
-    def of(cls, table: object) -> Board:
+    def of(cls, table: object, description: BoardDescription) -> Board:
         """Check each number of the group by itself.
 
         Raises
         ------
         ConfigError
-            If an entry is missing, unknown or out of range.
+            If an entry is missing, unknown or out of range, or the file is for another board.
         """
         plain = dict(check_table("board", table))
+        check_board_name(plain.pop("name", DEFAULT_BOARD), description)
         temperature = Temperature.of(plain.pop("temperature", {}))
         passwords = password_entries(plain.pop("passwords", {}))
         absent = all(group not in plain for group in BOARD_GROUPS)
         if absent:
-            return cls(
-                check_group("board", "board", plain), temperature, brake=False, passwords=passwords, complete=False
-            )
+            return cls(check_group("board", "board", plain), temperature, False, passwords, description, complete=False)
         groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
         values = check_group("board", "board", plain)
         switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
         for group, entries in groups.items():
             checked = check_group(f"board.{group}", group, entries)
             values |= {f"{group}.{key}": value for key, value in checked.items()}
-        return cls(values, temperature, check_switches("board.brake", switch, ["fitted"])["fitted"], passwords)
+        brake = check_switches("board.brake", switch, ["fitted"])["fitted"]
+        return cls(values, temperature, brake, passwords, description)
 
     def refused(self, key: str, reason: str, *remedies: Remedy | str) -> ConfigError:
         """Error about one entry of the group; remedies with the full names of entries."""
         return refused(f"board.{key}", self(key), reason, *remedies)
+
+
+def check_board_name(name: object, expected: BoardDescription) -> None:
+    """Check the entry ``board.name`` of a file.
+
+    Raises
+    ------
+    ConfigError
+        If the file is for another board.
+    """
+    try:
+        check_board(str(name), expected)
+    except OtherBoardError as error:
+        advice = f"use a configuration for {expected.name}"
+        raise refused("board.name", repr(name), f"the file is for another board: {error}", advice) from None
 
 
 @dataclass(frozen=True)

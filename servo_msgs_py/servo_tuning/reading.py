@@ -77,7 +77,8 @@ def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
     feature_names = [flag.name.lower() for flag in catalogue.flags["features"]]
     fault_names = [flag.name.lower() for flag in catalogue.flags["faults"]]
     with checking(table):
+        board = Board.of(table.get("board", {}), catalogue.board)
         axes = tuple(Axis.of(table, name, feature_names, fault_names) for name in AXIS_NAMES)
-        configuration = Configuration(Board.of(table.get("board", {})), axes, Scales.of(catalogue), table)
+        configuration = Configuration(board, axes, Scales.of(catalogue), table)
         check(configuration, catalogue)
     return configuration

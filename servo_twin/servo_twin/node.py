@@ -18,6 +18,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from servo_msgs_py.board_description import DEFAULT_BOARD, OtherBoardError, check_board
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import (
     diagnostic_array,
@@ -29,6 +30,7 @@ from servo_msgs_py.convert import (
 )
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.robot_description import joints_of
+from servo_msgs_py.run_file.run_info import RunInfoError, run_info
 from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
 from servo_msgs_py.runtime.notify import notify
 from servo_msgs_py.runtime.parameters import ParameterError, declare, spec
@@ -127,6 +129,7 @@ class ServoTwin(Node):
         self._configured = False  # the bridge has published the configuration of the board since the connection
         self._variables: dict[str, Any] = {}
         self._board_error = ""
+        self._hardware_error = ""  # the board is not that of the twin
         self._fault = ""  # fault of the board
         self._parameter_error = ""
         self._samples_before = 0
@@ -177,6 +180,7 @@ class ServoTwin(Node):
             qos = latched_qos() if topic.latched else deep
             self.create_subscription(topic.message, f"{board}/{topic.name}", callback, qos)
         self.create_subscription(DiagnosticStatus, f"{board}/{topics.LINK}", self._on_link, latched_qos())
+        self.create_subscription(String, f"{board}/{topics.RUN_INFO}", self._on_run_info, latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, self._on_description, latched_qos())
 
@@ -214,6 +218,21 @@ class ServoTwin(Node):
                     name: self.create_publisher(Float64, topics.residual_topic(name, names), deep) for name in COMPARED
                 }
             self._joints = joints
+        self._publish_changes()
+
+    def _on_run_info(self, message: String) -> None:
+        problem = ""
+        try:
+            board = run_info(message.data).board
+            if board:
+                check_board(board.get("hardware", DEFAULT_BOARD), self._catalogue.board)
+        except (OtherBoardError, RunInfoError) as error:
+            problem = f"{self._board_namespace}: {error}"
+        with self._lock:
+            if problem != self._hardware_error:
+                self._hardware_error = problem
+                if problem:
+                    self._log.warning(f"no comparison: {problem}")
         self._publish_changes()
 
     def _on_link(self, message: DiagnosticStatus) -> None:
@@ -448,7 +467,9 @@ class ServoTwin(Node):
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
 
     def _unknown(self) -> str:
-        """Missing data of the bridge, without which twin and board are not compared; empty: none."""
+        """Reason why twin and board are not compared: another board, or missing data of the bridge; empty: none."""
+        if self._hardware_error:
+            return self._hardware_error
         missing = {"joints": topics.ROBOT_DESCRIPTION} if not self._joints else {}
         if not self._configured:
             missing["configuration"] = topics.TUNING

@@ -12,11 +12,14 @@ from typing import Any
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.run_file.reader import RunReader
+from servo_msgs_py.run_file.run_info import RunInfo
 from servo_tuning.reading import SERVO_TOML
 from servo_twin.board import FIRMWARE, Board
 from servo_twin.diagnosis.board_pair import Motion
 from servo_twin.plant import PlantConfig
 from servo_twin.runs.command import main
+from servo_twin.runs.recorded import Contents, RunError
+from servo_twin.runs.replay import WhatIf, model_of
 from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.validation.simulated_run import SimulatedRun
 from servo_twin.view.recording import read_scalars
@@ -250,3 +253,9 @@ def test_another_build_is_taken_from_its_checkout(
     assert result["notes"][0] == result["other_build"]
     assert main(["replay", str(equal), "--firmware", str(tmp_path)]) == 2
     assert "run `make build` there" in capsys.readouterr().err
+
+
+def test_a_run_of_another_board_is_refused() -> None:
+    info = RunInfo(board={"name": "servo/mine", "hardware": "mine"})
+    with pytest.raises(RunError, match="'mine' is not the board"):
+        model_of(Contents("/servo", Counter(), info, {}, ()), WhatIf())

@@ -28,6 +28,7 @@ from servo_msgs_py.convert import (
 )
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
 from servo_msgs_py.robot_description import describe
+from servo_msgs_py.run_file.run_info import RunInfo
 from servo_msgs_py.runtime.parameters import ParameterError
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
@@ -341,6 +342,17 @@ def test_a_disconnected_board_makes_the_twin_unhealthy(rig: Rig) -> None:
     rig.board.run(0.7)
     rig.until(lambda: "configuration unknown" in rig.last("/twin/state"))
     rig.tuning.publish(Int64MultiArray())
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+
+
+def test_another_board_is_not_compared(rig: Rig) -> None:
+    publisher = rig.user.create_publisher(String, topics.RUN_INFO, latched_qos())
+    publisher.publish(String(data=RunInfo(board={"name": "servo/mine", "hardware": "mine"}).text()))
+    rig.board.run(0.7)
+    rig.until(lambda: "'mine' is not the board" in rig.last("/twin/state"))
+    assert not rig.messages["/twin/residual"]
+    publisher.publish(String(data=RunInfo(board={"name": "servo", "hardware": CATALOGUE.board.name}).text()))
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
 

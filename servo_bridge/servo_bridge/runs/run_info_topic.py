@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
+from servo_msgs_py.board_description import board_of
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.run_file.run_info import RunInfo, software_version
@@ -60,7 +61,7 @@ class RunInfoTopic:
         board = self._board()
         known = replace(
             self._known,
-            board={} if board is None else {"name": board.name, "version": board.version, "build": board.build},
+            board={} if board is None else _identification(board),
             parameters=self._parameters() or {},
             configuration=self._configuration(),
             bridge=self.settings,
@@ -69,3 +70,8 @@ class RunInfoTopic:
         if known != self._known:
             self._known = known
             self._publisher.publish(String(data=known.text()))
+
+
+def _identification(board: BoardInfo) -> dict[str, str]:
+    known = {"name": board.name, "version": board.version, "build": board.build}
+    return known | {"hardware": hardware} if (hardware := board_of(board.name)) else known

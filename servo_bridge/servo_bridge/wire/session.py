@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Final, Protocol, TypeVar
 
+from servo_msgs_py.board_description import OtherBoardError, board_of, check_board
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 from servo_msgs_py.variable_table import texts_by_address
 
@@ -231,6 +232,12 @@ def check_contract(
             "use the port of the servo board, or flash the firmware of this release",
             foreign=True,
         )
+    if (board := board_of(info.name)) is not None:
+        try:
+            check_board(board, catalogue.board)
+        except OtherBoardError as error:
+            remedy = f"connect the board {catalogue.board.name}, or use the release that belongs to this firmware"
+            raise BoardMismatchError(str(error), remedy) from None
     remedy = "flash the firmware of this release, or use the host software of the board's release"
     if reported_hash != catalogue.hash:
         raise BoardMismatchError(

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
 
+from servo_msgs_py.board_description import board_of
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.errors import Status, StatusError
 from servo_bridge.wire.keep_alive import kept_alive
-
-_NAME: Final = b"servo"
-"""Name of a servo board; other devices receive no commands."""
 
 
 @contextmanager
@@ -30,7 +27,7 @@ def stopped_at_connection(client: Client, catalogue: Catalogue) -> Iterator[None
     """
     client.probe()
     name = client.get_config("NM") or b""
-    if name.split(b"\x00", 1)[0] != _NAME:
+    if board_of(name.split(b"\x00", 1)[0].decode("utf-8", "replace")) is None:
         yield
         return
     codes = catalogue.bits["command"]

@@ -44,7 +44,8 @@ class RunInfo:
 
     software: str = ""  # version of this project
     catalogue: str = ""  # hash of the table of variables of the bridge, 8 hexadecimal digits
-    board: Mapping[str, str] = field(default_factory=dict)  # identification: name, version, build; empty: not connected
+    board: Mapping[str, str] = field(default_factory=dict)
+    """Identification: name, version and build of the firmware, hardware (name of the board); empty: not connected."""
     tick_ns: int = 0  # period of the ticks of the board [ns]
     parameters: Mapping[str, Sequence[int]] = field(default_factory=dict)  # of the board, raw numbers by name
     configuration: Sequence[Mapping[str, int]] = ()  # block by axis, raw numbers by member; empty: not known

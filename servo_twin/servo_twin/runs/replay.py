@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.axis_config import Member
+from servo_msgs_py.board_description import DEFAULT_BOARD, OtherBoardError, check_board
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.run_file.reader import Record
@@ -27,7 +28,7 @@ from servo_twin.lockstep.board_topics import BOARD_TOPICS
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
 from servo_twin.runs.divergence import Departure, Divergence, Estimates
-from servo_twin.runs.recorded import Contents, RecordedRun, message_of
+from servo_twin.runs.recorded import Contents, RecordedRun, RunError, message_of
 from servo_twin.servo_config import ServoConfig, servo_table
 
 _BURSTS: Final = (topics.RECORDER, topics.RECORDING)
@@ -75,11 +76,18 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
     ------
     PlantError, TextFileError
         If the recorded plant is damaged.
+    RunError
+        If it is another board than that of the twin.
     """
     notes: list[str] = []
     info = contents.info
     virtual = None if info is None else info.virtual_board
     catalogue = Catalogue.load()
+    if info is not None and info.board:
+        try:
+            check_board(info.board.get("hardware", DEFAULT_BOARD), catalogue.board)
+        except OtherBoardError as error:
+            raise RunError(f"the recorded board: {error}") from None
     if info is not None and info.catalogue and int(info.catalogue, 16) != catalogue.hash:
         notes.append(
             f"recorded with another table of variables ({info.catalogue} instead of {catalogue.hash:08X}): "
