@@ -392,9 +392,7 @@ class BridgeSimulation:
         self._replace("servo_bridge.sample_clocks", "WallClock", partial(WallClock, steady=clock_ns))
         self._replace(_ASSEMBLY, "Follower", partial(Follower, clock=steady.monotonic))
         self._replace(_ASSEMBLY, "action_interfaces", _nothing)
-        self._replace(
-            _ASSEMBLY, "TuningService", mock.MagicMock(return_value=mock.MagicMock(blocks=[]))
-        )  # it has a thread
+        self._replace(_ASSEMBLY, "BoardRequests", mock.MagicMock())  # it has a thread
         self.start_bridge()
         return self
 

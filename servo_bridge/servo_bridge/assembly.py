@@ -25,6 +25,7 @@ from servo_bridge.answers import Answers
 from servo_bridge.arbiter import Arbiter, stop_delay
 from servo_bridge.board_context import BoardContext
 from servo_bridge.board_link import BoardLink
+from servo_bridge.board_requests import BoardRequests
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
 from servo_bridge.callback_watch import CallbackWatch
@@ -177,10 +178,16 @@ class Assembly:
         self.records = RecordService(
             context, node, settings.recording, piece_size(sample_size, settings.baud), self.clocks.times
         )
+        self.requests = BoardRequests(context)
         self.tuning = TuningService(
-            context, node, settings.tuning, take=self.dispatcher.urgent, taken=self._nominal_values_changed
+            context,
+            node,
+            settings.tuning,
+            take=self.dispatcher.urgent,
+            taken=self._nominal_values_changed,
+            requests=self.requests,
         )
-        self.storage = StorageService(context, node)
+        self.storage = StorageService(context, node, self.requests)
         self.run_info = RunInfoTopic(
             node,
             catalogue,
@@ -224,6 +231,7 @@ class Assembly:
             self.records,
             self.storage,
             self.tuning,
+            self.requests,
             self.publications,
             self.run,
         )

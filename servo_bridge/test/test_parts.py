@@ -9,6 +9,7 @@ from unittest.mock import MagicMock
 
 from board_context_rig import board_context
 from bridge_rig import Rig
+from servo_bridge.board_requests import BoardRequests
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.part import Part
 from servo_bridge.storage_service import StorageService
@@ -59,11 +60,12 @@ def test_all_parts_are_told_in_order_and_the_end_is_a_loss() -> None:
 def test_calls_in_progress_are_answered_at_the_end() -> None:
     """Also those whose result would come from the link, which is closed."""
     context = replace(board_context(log=lambda _: None), call=lambda _: Future[Any]())
-    storage = StorageService(context, MagicMock())
+    requests = BoardRequests(context)
+    storage = StorageService(context, MagicMock(), requests)
     records = RecordService(context, MagicMock(), MagicMock(), 8, MagicMock())
-    tuning = TuningService(context, MagicMock(), "axes.toml", MagicMock(), MagicMock())
+    tuning = TuningService(context, MagicMock(), "axes.toml", MagicMock(), MagicMock(), requests)
     answers = [storage._request("SAVE"), records._on_record(True), tuning._on_tune(False)]
-    for part in (storage, records, tuning):
+    for part in (storage, records, tuning, requests):
         part.lost("unplugged")
         part.close()
     assert [answer.result(0)[0] for answer in answers] == [False] * 3

@@ -19,7 +19,7 @@ from servo_msgs_py.catalogue import Catalogue
 Kind = Literal["SAVE", "FACTORY"]
 
 _COPIES: Final = "AB"
-_REQUEST_TIME: Final = 1.0  # timeout of a request [s]
+_REQUEST_TIME: Final = 5.0  # timeout of a request [s]; the flash takes half a second at most
 
 _REFUSALS: Final[Mapping[str, str]] = {
     "FORM": "malformed request; if another program also writes to the board, stop it and try again",

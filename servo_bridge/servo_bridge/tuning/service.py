@@ -1,20 +1,16 @@
 """The service ``tune`` and the topic ``tuning``: change of the configuration of a running board.
 
-A separate thread waits for the tuning code and the link. Each word is a separate job of the link, between two samples
-of the telemetry and after pending set-points; ``config.take`` is sent by the dispatcher like a command, so that its
-tick is known and a twin can repeat it at this tick.
+The thread of the requests waits for the tuning code and the link. ``config.take`` is sent by the dispatcher like a
+command, so that its tick is known and a twin can repeat it at this tick.
 """
 
 from __future__ import annotations
 
-import queue
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent import futures
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 from rclpy.node import Node
 from servo_msgs_py.axis_config import AxisConfigTable
@@ -27,6 +23,7 @@ from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import SetBool
 
 from servo_bridge.board_context import BoardContext
+from servo_bridge.board_requests import TIMEOUT, BoardRequests, error_text
 from servo_bridge.deferred_service import DeferredService
 from servo_bridge.outcome import Outcome, answered
 from servo_bridge.part import Part
@@ -34,25 +31,7 @@ from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.plan import Block, Plan, read_blocks
 from servo_bridge.tuning.process import TuningProcess
 from servo_bridge.wire.link_queue import LinkDownError
-from servo_bridge.wire.session import Call
-from servo_bridge.wire.session_port import SessionPort
 from servo_msgs_py import topics
-
-_TIMEOUT: Final = 10.0
-"""Timeout of one exchange [s]; the link itself reports earlier."""
-
-
-class _LinkMemory:
-    """`servo_msgs_py.board_port.BoardWords` with one job of the link per access."""
-
-    def __init__(self, call: Call) -> None:
-        self._call = call
-
-    def read_words(self, name: str) -> list[int]:
-        return self._call(lambda session: SessionPort(session).read_words(name)).result(_TIMEOUT)
-
-    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        return self._call(lambda session: SessionPort(session).write_words(name, words, first)).result(_TIMEOUT)
 
 
 class TuningService(Part):
@@ -71,6 +50,8 @@ class TuningService(Part):
         effect.
     taken : callable
         Called in the thread of the node after a change of the blocks.
+    requests : BoardRequests
+        Executes the requests.
     """
 
     def __init__(
@@ -80,20 +61,18 @@ class TuningService(Part):
         path: str,
         take: Callable[[CommandWrite], Future[int]],
         taken: Callable[[], None],
+        requests: BoardRequests,
     ) -> None:
         self.path = path  # a change applies to the next call
         self._context = context
-        self._memory = _LinkMemory(context.call)
+        self._requests = requests
         self._post = context.post
         self._take, self._taken = take, taken
         self._process = TuningProcess()
         self._waiting: Future[Outcome] | None = None  # answer of the call in progress
         self._published: list[Block] | None = None  # since the connection
-        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._publisher = node.create_publisher(Int64MultiArray, topics.TUNING, latched_qos())
         self._service = DeferredService(node, SetBool, topics.TUNE, lambda request: self._on_tune(request.data))
-        self._thread = threading.Thread(target=self._run, name="servo tuning", daemon=True)
-        self._thread.start()
 
     # ---- thread of the node
     @property
@@ -104,12 +83,11 @@ class TuningService(Part):
     def connected(self) -> None:
         """After a connection, read and publish the configuration; a restarted twin needs it."""
         self._published = None
-        self._jobs.put(self._refresh)
+        self._requests.put(self._refresh)
 
     def close(self) -> None:
-        """Abort the present job and answer its call; the thread ends."""
+        """Abort the present request and answer its call."""
         self._process.close()
-        self._jobs.put(None)
         if self._waiting is not None:
             self._answer(self._waiting, (False, "the bridge has closed the connection to the board"))
 
@@ -119,7 +97,7 @@ class TuningService(Part):
         if self._waiting is not None:
             return answered(False, "a tune request is in progress; call again after its response")
         self._waiting = answer = Future[Outcome]()
-        self._jobs.put(partial(self._tune, Path(self.path), send, answer))
+        self._requests.put(partial(self._tune, Path(self.path), send, answer))
         return answer
 
     def _answer(self, answer: Future[Outcome], outcome: Outcome) -> None:
@@ -135,21 +113,14 @@ class TuningService(Part):
             self._published = blocks
             self._publisher.publish(blocks_message(blocks))
 
-    # ---- separate thread
-    def _run(self) -> None:
-        while True:
-            job = self._jobs.get()
-            if job is None:
-                return
-            job()
-
+    # ---- thread of the requests
     def _tune(self, path: Path, send: bool, answer: Future[Outcome]) -> None:
         lines: list[str] = []
         success = unsure = False
         try:
             plan = self._plan(path, lines)
             if send and plan.axes:
-                plan.send(self._memory)
+                plan.send(self._requests)
                 unsure = True
                 lines.append(f"{plan.names} applied at tick {self._apply(plan)}")
             elif plan.axes:
@@ -161,7 +132,7 @@ class TuningService(Part):
         except ConfigError as error:
             lines.append(f"{path}: {error}")
         except Exception as error:  # includes internal errors: the service must respond
-            lines.append(_text(error))
+            lines.append(error_text(error))
         self._post(partial(self._answer, answer, (success, "\n".join(lines))))
         if unsure:
             self._post(self._taken)
@@ -169,7 +140,7 @@ class TuningService(Part):
 
     def _plan(self, path: Path, lines: list[str]) -> Plan:
         """Plan of the changes; appends warnings and a table to `lines`."""
-        old = read_blocks(self._memory)
+        old = read_blocks(self._requests)
         blocks, warnings, notes = self._process.computed(path)
         lines += [f"{path}: {note}" for note in notes]
         lines += [f"{path}: warning: {warning}" for axis in range(AXES) for warning in warnings[axis]]
@@ -196,29 +167,22 @@ class TuningService(Part):
         begun: Future[Future[int]] = Future()
         self._post(lambda: begun.set_result(self._take(write)))
         try:
-            return begun.result(_TIMEOUT).result(_TIMEOUT)
+            return begun.result(TIMEOUT).result(TIMEOUT)
         except (ConnectionError, futures.TimeoutError):
             # The repeated request is refused because the first one was executed.
-            in_force = self._memory.read_words("config.checksum")
+            in_force = self._requests.read_words("config.checksum")
             if all(in_force[axis] == checksum for axis, checksum in plan.checksums().items()):
-                return self._memory.read_words("config.taken_tick")[0]
-            take_result(self._memory)
+                return self._requests.read_words("config.taken_tick")[0]
+            take_result(self._requests)
             raise
 
     def _refresh(self) -> None:
         """Read and publish the configuration of the board; no blocks if it cannot be read."""
         blocks: list[Block] = []
         try:
-            blocks = list(read_blocks(self._memory).values())
+            blocks = list(read_blocks(self._requests).values())
         except LinkDownError:
             return  # reported elsewhere; read again after the reconnection
         except Exception as error:  # includes internal errors: the thread continues
-            self._post(partial(self._context.warn, f"the configuration of the board is not known: {_text(error)}"))
+            self._post(partial(self._context.warn, f"the configuration of the board is not known: {error_text(error)}"))
         self._post(partial(self._publish, blocks))
-
-
-def _text(error: Exception) -> str:
-    """Text of an error."""
-    return str(error) or (
-        "no response of the board" if isinstance(error, futures.TimeoutError) else type(error).__name__
-    )
