@@ -8,6 +8,7 @@ shaft.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -31,6 +32,7 @@ REST_SPEED: Final = 0.5  # largest speed at rest without current [rad/s]
 HELD_SPEED: Final = 1.0  # largest speed at rest under position control, which can move the shaft by a count [rad/s]
 
 _REST_MAX: Final = 6.0  # timeout for coming to rest without current [s]
+_SLOWING: Final = 0.9  # largest ratio of the speeds at the end and the beginning of this time while coasting
 _HOLD_MAX: Final = 5.0  # timeout for coming to rest under control [s]
 _REFRESH_PART: Final = 0.25  # interval of rewriting a set-point, relative to its timeout
 _REFRESH_MAX: Final = 0.25  # the same interval if set-points do not expire [s]
@@ -220,9 +222,15 @@ class AxisUnderTest:
         return abs(self.value("speed")) < speed
 
     def wait_for_rest(self, speed: float = REST_SPEED) -> None:
-        """Wait until the shaft is at rest; `speed` as in `is_at_rest`."""
-        if self.reached(lambda: self.is_at_rest(speed), _REST_MAX, refuse_on_fault=False):
-            return
+        """Wait until the shaft is at rest; `speed` as in `is_at_rest`.
+
+        A shaft that coasts with little friction may take several times the timeout, as long as it becomes slower.
+        """
+        before, now = math.inf, abs(self.value("speed"))
+        while now < _SLOWING * before:
+            if self.reached(lambda: self.is_at_rest(speed), _REST_MAX, refuse_on_fault=False):
+                return
+            before, now = now, abs(self.value("speed"))
         self.refuse_limits("REGENERATION")
         raise MeasurementError(
             f"{self.name} does not come to rest within {_REST_MAX:g} s: an external torque moves the shaft"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from servo_tuning.errors import exactly, higher
+from servo_tuning.errors import higher
 
 from servo_measurement.access import MeasurementError
 from servo_measurement.motor_values import Limits
@@ -13,13 +13,18 @@ from servo_measurement.motor_values import Limits
 BAND_MAX: Final = 0.25
 """Largest range in which the voltage lost in a leg depends on its current, relative to the current limit. With 0.28 and
 more, errors of resistance and inductance were 5 % to several times the value."""
-BAND_LEFT: Final = 0.35
-"""Range, relative to the largest current, below which the phase currents leave it."""
+BAND_LEFT: Final = 0.55
+"""Range, relative to the largest current, below which the current of phase a leaves it."""
+LOST_MIN: Final = 0.7
+"""Smallest lost voltage of a fit, relative to the nominal one, of phase currents that leave the range."""
 BAND_MARGIN: Final = 1.5
-"""Margin of a remedy over the range that was found with a smaller current."""
+"""Margin of a remedy: the range grows with the ripple, and with it the current."""
+
+ESTIMATE_MARGIN: Final = 1.2
+"""The same for the value of `band_of`, which is rather too large."""
 
 
-def check_band(band: float, estimate: float, current: float, limits: Limits, maximum: float) -> None:
+def check_band(band: float, estimate: float, current: float, limits: Limits, maximum: float, *, complete: bool) -> None:
     """Check that the phase currents are above the range in which the voltage lost in a leg is uncertain.
 
     Parameters
@@ -34,27 +39,30 @@ def check_band(band: float, estimate: float, current: float, limits: Limits, max
         Of the user.
     maximum : float
         Largest current of the board [A].
+    complete : bool
+        Whether the fit that gave `band` has found the lost voltage.
 
     Raises
     ------
     MeasurementError
-        If the current is too small, with one that is enough, if the board can do it.
+        If the current is too small, with one that is enough, if it is known and the board can do it.
     """
     if current >= band / BAND_MAX:
         return
-    left = band < BAND_LEFT * current
-    needed = (BAND_MARGIN * band if left else max(band, estimate)) / BAND_MAX
+    left = complete and band < BAND_LEFT * current
+    needed = (BAND_MARGIN * band if left else ESTIMATE_MARGIN * max(band, estimate)) / BAND_MAX
     text = f"phase currents up to {band:.2g} A vanish in the dead time of the switches"
     if current < limits.current:
         raise MeasurementError(f"{text}, and {current:.2g} A take the voltage: the board cannot measure this winding")
     if needed < maximum:
         raise MeasurementError(text, higher("--current", min(_rounded_up(needed), maximum)))
+    remedy = "a supply of a lower voltage, or add inductance to the motor cable"
     if limits.current < maximum:
-        raise MeasurementError(text, exactly("--current", maximum))
-    raise MeasurementError(
-        f"{text}: at {limits.voltage:g} V the test needs {needed:.2g} A, the board can do {maximum:g} A; use a"
-        " supply of a lower voltage"
-    )
+        raise MeasurementError(
+            f"{text}: use more current, {remedy}; whether the {maximum:g} A of the board are enough cannot be told with"
+            f" {current:.2g} A"
+        )
+    raise MeasurementError(f"{text}: {maximum:g} A, the largest current of the board, are not enough; use {remedy}")
 
 
 def band_of(slope: float, lost_voltage: float) -> float:

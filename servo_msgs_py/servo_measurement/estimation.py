@@ -107,6 +107,13 @@ def shaft_follows(recording: Trace, name: str, pairs: float) -> bool:
     return abs(shaft * pairs - electrical) < FOLLOW_TOLERANCE * abs(electrical)
 
 
+def swing_of(recording: Trace, name: str, pairs: float) -> float:
+    """Standard deviation of the angle between a rotating vector and the rotor [rad, electrical]."""
+    angle, position = (recording[f"{name}.{key}"] for key in ("test_angle", "position"))
+    usable = np.isfinite(angle) & np.isfinite(position)
+    return float(np.std(np.unwrap(angle[usable]) - pairs * position[usable]))
+
+
 def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate]:
     """First estimate of ``psi_m`` [V s] from the back-EMF of a rotor that follows a rotating vector; `l_d` [H].
 
@@ -120,7 +127,8 @@ def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate
     speeds = [_speeds(one, name)[0] for one in fast]
     if len(fast) < 2 or speeds[0] * speeds[1] > 0.0:
         raise MeasurementError(
-            "the shaft does not follow a rotating vector: it is blocked, or the current is too small"
+            "the shaft does not follow a rotating vector: it is blocked, or the current is too small for its friction"
+            " or inertia"
         )
     means = [mean_of(one[f"{name}.u_q"])[0] for one in fast]
     current = mean_of(fast[0][f"{name}.i_d"])[0]

@@ -156,6 +156,11 @@ class MotorRig(AxisUnderTest):
         return min(position - self._low, self._high - position)
 
     @property
+    def travel(self) -> float:
+        """Distance from the middle of the limits to each of them [rad]."""
+        return 0.5 * (self._high - self._low)
+
+    @property
     def way_to_middle(self) -> float:
         """Distance to the middle of the limits, negative downwards [rad]."""
         return 0.5 * (self._low + self._high) - self.value("position")

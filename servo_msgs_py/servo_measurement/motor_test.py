@@ -22,7 +22,7 @@ from servo_msgs_py.units import PERIOD, PERIOD_NS, TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
-from servo_measurement.dead_time import band_of, check_band
+from servo_measurement.dead_time import LOST_MIN, band_of, check_band
 from servo_measurement.estimation import (
     BAND,
     FLUX_CURRENT_TIME,
@@ -32,6 +32,7 @@ from servo_measurement.estimation import (
     resistance_of,
     rotation_of,
     shaft_follows,
+    swing_of,
 )
 from servo_measurement.log import LoggedAccess, MeasurementLog
 from servo_measurement.motor_rig import (
@@ -45,7 +46,7 @@ from servo_measurement.motor_rig import (
 )
 from servo_measurement.motor_values import Estimate, Limits
 from servo_measurement.speed_runs import balance
-from servo_measurement.standstill import RESISTANCE_MIN, impedance
+from servo_measurement.standstill import RESISTANCE_MIN, Ohmic, impedance
 
 FIRST_KP: Final = 0.05  # V/A; stable above 0.03 mH
 FIRST_KI: Final = 10.0  # V/(A s); stable above 0.05 ohm
@@ -68,6 +69,12 @@ TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
 """Speeds, tried in this order until the rotor follows."""
 TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
+TURN_GENTLE: Final = 30.0
+"""The same for a heavy rotor [rad/s^2], which swings about the vector for seconds after a ramp."""
+TURN_EVERY: Final = 2  # slow ticks per sample
+TURN_EVERY_GENTLE: Final = 8  # the same for a heavy rotor: the mean speed of several swings
+TURN_FAST_SAMPLES: Final = 250
+SWING_MAX: Final = 0.25  # largest standard deviation of the swing of a light rotor, electrical [rad]
 TURN_SETTLE: Final = 0.1  # [s]
 PULSE: Final = 0.5  # relative to the current limit
 PULSE_SPEED: Final = 0.5  # speed limit of the board during the pulses, relative to the largest speed
@@ -232,7 +239,7 @@ class MotorTest:
         found = resistance_of(self.log)
         self._values["r_s"] = Estimate(found.resistance.value - rig.limits.r_on, found.resistance.sigma)
         self._values["dead_voltage"] = found.lost
-        self._check_band(found.band)
+        self._check_band(found)
         rig.report("holding the rotor: inductances")
         rig.command("cmd.i_q", VECTOR * current)
         rig.wait(0.1)
@@ -282,11 +289,15 @@ class MotorTest:
     def _refuse_small_current(self) -> None:
         """Raise an error if a too small current is the reason why a test signal has no result."""
         self._levels(settle=0.3)
-        self._check_band(max(resistance_of(self.log).band, self._band))
+        found = resistance_of(self.log)
+        self._check_band(dataclasses.replace(found, band=max(found.band, self._band)))
 
-    def _check_band(self, band: float) -> None:
-        maximum = self._rig.access.catalogue["param.i_q_limit"].maximum
-        check_band(band, self._band, self._current, self._rig.limits, maximum)
+    def _check_band(self, found: Ohmic) -> None:
+        rig = self._rig
+        # within the range the fit takes the slope of the lost voltage for a resistance
+        complete = found.lost.value > LOST_MIN * rig.lost_voltage
+        maximum = rig.access.catalogue["param.i_q_limit"].maximum
+        check_band(found.band, self._band, self._current, rig.limits, maximum, complete=complete)
 
     def _dead_time_change(self, inductance: float) -> float:
         """Change of a phase current by the bus voltage in a dead time [A]; `inductance` [H]."""
@@ -306,18 +317,22 @@ class MotorTest:
         rig.command("cmd.i_q", self._current)
         rig.wait(0.1)
         names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
-        rig.write("param.acceleration_limit", TURN_RAMP / NOMINAL["pole_pairs"])
         for direction in (1.0, -1.0):
-            self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW)
+            self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW, TURN_RAMP)
         r = self._values["r_s"].value + rig.limits.r_on
         self._values.update(rotation_of(self.log, r))
         pairs = self._values["pole_pairs"].value
         travel_max = 2.0 * math.pi * rig.limits.turns * pairs
+        slow = self.log.labelled("turn_slow")
+        swings = max(swing_of(one, rig.name, pairs) for one in slow) > SWING_MAX
+        ramp, every = (TURN_GENTLE, TURN_EVERY_GENTLE) if swings else (TURN_RAMP, TURN_EVERY)
         for electrical in TURN_FAST:
-            if electrical**2 / TURN_RAMP + electrical * (TURN_SETTLE + 500 * TICK + LATENCY) > travel_max:
+            seconds = TURN_SETTLE + TURN_FAST_SAMPLES * every * TICK + LATENCY
+            if electrical**2 / ramp + electrical * seconds > travel_max:
                 continue
             recordings = [
-                self._record_rotating("turn_fast", names, 250, 2, direction * electrical) for direction in (1.0, -1.0)
+                self._record_rotating("turn_fast", names, TURN_FAST_SAMPLES, every, direction * electrical, ramp)
+                for direction in (1.0, -1.0)
             ]
             if all(shaft_follows(one, rig.name, pairs) for one in recordings):
                 break
@@ -439,7 +454,7 @@ class MotorTest:
         maximum = min(maximum, math.sqrt(2.0 * rig.limits.energy / inertia))
         maximum = min(maximum, APPROACH_MAX * acceleration)
         # each recording begins and ends at rest, and the direction alternates
-        travel_max = ROOM_USE * rig.free_travel
+        travel_max = ROOM_USE * rig.travel
         longest = max(SETTLE + PLAIN_TIME, SETTLE_HOLD + FLUX_CURRENT_TIME) + LATENCY
         while maximum * longest + maximum**2 / acceleration > travel_max:
             maximum *= 0.95
@@ -476,10 +491,11 @@ class MotorTest:
                 rig.wait(TICK)
 
     def _record_rotating(
-        self, label: str, columns: Sequence[str], samples: int, every: int, electrical: float
+        self, label: str, columns: Sequence[str], samples: int, every: int, electrical: float, ramp: float
     ) -> Trace:
-        """A recording with a vector rotating at an electrical speed [rad/s]."""
-        times = abs(electrical) / TURN_RAMP + TURN_SETTLE, abs(electrical) / TURN_RAMP + STOPPED
+        """A recording with a vector rotating at an electrical speed [rad/s], after an acceleration [rad/s^2]."""
+        self._rig.write("param.acceleration_limit", ramp / NOMINAL["pole_pairs"])
+        times = abs(electrical) / ramp + TURN_SETTLE, abs(electrical) / ramp + STOPPED
         return self._rig.moving(label, columns, samples, every, electrical / NOMINAL["pole_pairs"], times)
 
     def _held_at(self, current: float) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import math
 import pytest
 from servo_tuning.remedies import refusal_of
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.motor_campaign import (
+from servo_twin.random_motor import (
     ACCELERATION_TIME,
     FLUX,
     INDUCTANCE,
@@ -17,13 +17,9 @@ from servo_twin.validation.experiments.motor_campaign import (
     R_S,
     TIME_CONSTANT,
     VOLTAGE,
-    Result,
-    corrected,
-    data_sheet,
-    draw,
-    judge,
-    run_trial,
+    random_motor,
 )
+from servo_twin.validation.experiments.motor_campaign import Result, corrected, data_sheet, judge, run_trial
 from servo_twin.validation.experiments.rig import at_level
 
 SEED = 1
@@ -37,8 +33,8 @@ REFUSED = (
 
 
 def test_motors_are_within_the_ranges_and_depend_on_the_seed_only() -> None:
-    motors = [draw(SEED, number) for number in range(200)]
-    assert motors == [draw(SEED, number) for number in range(200)]
+    motors = [random_motor(SEED, number) for number in range(200)]
+    assert motors == [random_motor(SEED, number) for number in range(200)]
     for motor in motors:
         torque = 1.5 * motor.pole_pairs * motor.psi_m * motor.current
         values = (
@@ -66,14 +62,14 @@ def test_accepted_motors_enable_and_move() -> None:
 
 @pytest.mark.parametrize(("number", "reason"), REFUSED)
 def test_a_refusal_that_no_entry_corrects_names_the_reason(number: int, reason: str) -> None:
-    found = corrected(data_sheet(draw(SEED, number)))
+    found = corrected(data_sheet(random_motor(SEED, number)))
     assert found.problem is not None
     assert found.problem == refusal_of(found.table)
     assert reason in str(found.problem)
 
 
 def test_a_drive_that_does_not_work_is_a_failure() -> None:
-    good = Result(0, draw(SEED, 0), (), "", contradicts=False, search=1.0, overshoot=2.0, duration=0.9)
+    good = Result(0, random_motor(SEED, 0), (), "", contradicts=False, search=1.0, overshoot=2.0, duration=0.9)
     for bad in (
         dataclasses.replace(good, problem="no arrival"),
         dataclasses.replace(good, refused="axis1.limits.current", contradicts=False),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Final
 
 import pytest
@@ -16,14 +15,15 @@ from servo_tuning.errors import ConfigError
 from servo_tuning.remedies import with_value
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
-from servo_twin.cli import main
-from servo_twin.identification.motors import wide_motor
 from servo_twin.identification.session import identified, measure_virtual
+from servo_twin.identification.trials import random_case
 from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import servo_table
 
 PLANT: Final = PlantConfig.load()
 OPTIONS: Final = {"--current": "current", "--voltage": "voltage", "--speed-max": "speed", "--turns-max": "turns"}
+SEED: Final = 1
+LIMITS: Final = Limits(24.0, 4.0, r_on=0.03)
 REFUSALS_MAX: Final = 6
 PLAIN_ERRORS: Final[Mapping[str, float]] = {"r_s": 0.1, "l_d": 0.03, "l_q": 0.03, "psi_m": 0.015, "inertia": 0.04}
 """Relative errors of the closed-form estimates, which a refinement would reduce."""
@@ -44,10 +44,10 @@ def test_any_current_and_voltage(voltage: float, current: float) -> None:
     assert_identified(PLANT.with_bus(u_source=voltage), Limits(voltage, current, r_on=0.03))
 
 
-@pytest.mark.parametrize("number", [3, 6, 12, 25])
+@pytest.mark.parametrize("number", [2, 8, 17, 22])
 def test_other_motors(number: int) -> None:
-    plant, current = wide_motor(PLANT, 0, number)
-    assert_identified(plant, Limits(plant.bus.u_source, current, r_on=0.03))
+    """Number 8 has a bus that takes no braking energy, 22 a shaft that swings about a rotating vector."""
+    assert_identified(*random_case(PLANT, 0, LIMITS, SEED, number))
 
 
 def test_the_supply_fault_of_a_lower_voltage_is_cleared_and_returns() -> None:
@@ -67,7 +67,7 @@ def test_the_supply_fault_of_a_lower_voltage_is_cleared_and_returns() -> None:
     ("changes", "current"),
     [
         ({"current": 5.0}, 4.0),
-        ({"current": 0.1}, 0.63),  # not the 4 A of the board: it measures with 0.5 A
+        ({"current": 0.1}, 0.51),  # not the 4 A of the board: it measures with 0.5 A
         ({"voltage": 36.0}, 4.0),
         ({"current": 5.0, "voltage": 12.0, "speed": 1.0, "turns": 1.0}, 4.0),
     ],
@@ -77,10 +77,18 @@ def test_remedies_of_options_are_accepted(changes: dict[str, float], current: fl
     assert assert_remedies_lead_to_a_result(PLANT, limits).current == pytest.approx(current, rel=0.1)
 
 
-@pytest.mark.parametrize("number", [13, 15, 28])
+@pytest.mark.parametrize("number", [1, 13, 28])
 def test_a_current_that_is_too_small_for_a_winding_is_refused_with_one_that_is_enough(number: int) -> None:
-    plant, current = wide_motor(PLANT, 0, number)
-    assert_remedies_lead_to_a_result(plant, Limits(plant.bus.u_source, current, r_on=0.03))
+    assert_remedies_lead_to_a_result(*random_case(PLANT, 0, LIMITS, SEED, number))
+
+
+@pytest.mark.parametrize("number", [14, 30])
+def test_a_current_that_cannot_be_told_is_not_named(number: int) -> None:
+    """All phase currents are within the range of the dead time; with its value each needed a second, larger one."""
+    error = refusal(*random_case(PLANT, 0, LIMITS, SEED, number))
+    assert error is not None
+    assert not error.remedies
+    assert "use more current, a supply of a lower voltage" in str(error)
 
 
 def assert_remedies_lead_to_a_result(plant: PlantConfig, limits: Limits) -> Limits:
@@ -91,7 +99,7 @@ def assert_remedies_lead_to_a_result(plant: PlantConfig, limits: Limits) -> Limi
         remedy = error.remedies[0]
         assert remedy.value is not None
         assert f"{remedy.entry} {remedy.value:g}" in str(error)
-        assert refused.count(remedy.entry) < 2, (refused, str(error))  # a second step: the first value was an estimate
+        assert remedy.entry not in refused, (refused, str(error))
         assert len(refused) < REFUSALS_MAX
         refused.append(remedy.entry)
         limits = dataclasses.replace(limits, **{OPTIONS[remedy.entry]: remedy.value})
@@ -114,16 +122,15 @@ def refusal(plant: PlantConfig, limits: Limits) -> MeasurementError | None:
 
 def test_a_configuration_follows_the_motor() -> None:
     """Entries that depend on motor and limits are corrected by the remedies of the tuning rules."""
-    for number in range(4):
-        plant, current = wide_motor(PLANT, 0, number)
+    for number in (2, 4, 8, 17):
+        plant, limits = random_case(PLANT, 0, LIMITS, SEED, number)
         it = plant.axes[0]
         names = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "friction", "viscous")
         motor = {name: float(getattr(it, name)) for name in names}
-        limits = Limits(plant.bus.u_source, current)
         for slow_loops in (False, True):
             table = fitted(servo_table(), 0, limits, motor, slow_loops=slow_loops)
             assert tuned_axis(table, 0).block
-            assert table["axis1"]["limits"]["current"] == current
+            assert table["axis1"]["limits"]["current"] == limits.current
             assert table["axis1"]["motor"]["inertia"] == motor["inertia"]
             assert table["board"]["nominal_voltage"] == limits.voltage
 
@@ -135,11 +142,6 @@ def test_a_raised_over_voltage_threshold_is_said() -> None:
         with pytest.raises(MeasurementError, match="too few"):
             MotorTest(VirtualBoardAccess(board), 0, Limits(33.0, 1.0, turns=1.0), servo_table(), said.append).run()
     assert "the over-voltage threshold is raised from" in said[0]
-
-
-def test_wide_without_a_random_motor_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", "--wide", "--level", "ideal", "--locked", "--out", str(tmp_path)]) != 0
-    assert "add --motor N or --trials N" in capsys.readouterr().err
 
 
 def test_values_that_may_not_be_changed_are_not_searched() -> None:

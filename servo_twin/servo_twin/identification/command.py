@@ -22,10 +22,9 @@ from servo_tuning.reading import SERVO_TOML
 from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
-from servo_twin.identification.motors import random_motor, wide_motor
 from servo_twin.identification.refine import DETAILED_MODEL
 from servo_twin.identification.session import Identified, identified, measure_virtual, tuned_table
-from servo_twin.identification.trials import Trial, Trials, summary
+from servo_twin.identification.trials import Trial, Trials, random_case, summary
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
@@ -39,7 +38,7 @@ the permitted motor current must be known.
 
   a virtual board, with the motor of --plant:
       servo-sim identify --axis 1 --voltage 24 --current 4
-  a virtual board with a random motor:
+  a virtual board with a random motor, at its voltage and current:
       servo-sim identify --motor 17
   a recording of servo-tool identify:
       servo-sim identify --recording out/identify/measurement.npz
@@ -96,12 +95,14 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         "--out", type=argument.output_folder, default=_OUT, metavar="FOLDER", help="default: %(default)s"
     )
     real = parser.add_argument_group("plant of the virtual board")
-    real.add_argument("--motor", type=int, metavar="K", help="a random motor")
+    real.add_argument("--motor", type=int, metavar="K", help="random motor K of --seed, at its own voltage and current")
     real.add_argument("--load", type=argument.finite, default=0.0, help="constant torque [N m]")
     real.add_argument("--locked", action="store_true", help="lock the shaft")
-    parser.add_argument("--trials", type=argument.count, metavar="N", help="identify N random motors, print the errors")
     parser.add_argument(
-        "--wide", action="store_true", help="random motors of 0.03 .. 12 ohm, each at its own voltage and current"
+        "--trials",
+        type=argument.count,
+        metavar="N",
+        help="identify the first N random motors of --seed, print the errors",
     )
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
@@ -126,8 +127,6 @@ def _report(text: str) -> None:
 def _run(args: argparse.Namespace) -> int:
     plant = PlantConfig.load(args.plant)
     base = servo_table(args.config or SERVO_TOML)
-    if args.wide and args.trials is None and args.motor is None:
-        raise SimulationError("--wide is for random motors: add --motor N or --trials N, or omit it")
     if args.trials is not None:
         return _trials(args, plant, base)
     limits, axis = _limits(args, plant), args.axis - 1
@@ -140,11 +139,8 @@ def _run(args: argparse.Namespace) -> int:
         limits = Limits(**log.notes["limits"])
     else:
         real = plant
-        if args.motor is not None and args.wide:
-            real, current = wide_motor(plant, axis, args.motor)
-            limits = dataclasses.replace(limits, voltage=real.bus.u_source, current=current)
-        elif args.motor is not None:
-            real = random_motor(plant, axis, args.motor)
+        if args.motor is not None:
+            real, limits = random_case(plant, axis, limits, args.seed, args.motor)
         log, problem = measure_virtual(
             real,
             axis,
@@ -195,13 +191,13 @@ def _write(
 
 def _trials(args: argparse.Namespace, plant: PlantConfig, base: Mapping[str, Any]) -> int:
     level = chosen_level(args.level, default=FAST_LEVEL)
-    work = Trials(plant, base, args.axis - 1, _limits(args, plant), level, args.seed, args.wide)
+    work = Trials(plant, base, args.axis - 1, _limits(args, plant), level, args.seed, not args.no_refinement)
     args.out.mkdir(parents=True, exist_ok=True)
     found: list[tuple[int, Trial]] = []
     text = ""
     for one in Runner.of(args).run(work, range(args.trials), "identify, motors"):
         found = sorted([*found, one], key=lambda pair: pair[0])
-        content = [{"motor": args.seed + number, **dataclasses.asdict(trial)} for number, trial in found]
+        content = [{"motor": number, **dataclasses.asdict(trial)} for number, trial in found]
         text = json.dumps(content, indent=2, default=float) + "\n"
         write_file(args.out / "trials.json", text)  # after every trial
     print(text if args.json else "\n".join(summary(found)))

@@ -11,10 +11,10 @@ import numpy as np
 from servo_measurement.motor_values import Limits
 from servo_msgs_py.table_text import aligned
 
-from servo_twin.identification.motors import random_motor, wide_motor
 from servo_twin.identification.session import identified, measure_virtual, tuned_table
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
+from servo_twin.random_motor import random_motor, with_random_inverter
 
 TARGETS: Final[Mapping[str, float]] = {
     "r_s": 0.03,
@@ -47,6 +47,13 @@ class Trial:
         )
 
 
+def random_case(plant: PlantConfig, axis: int, limits: Limits, seed: int, number: int) -> tuple[PlantConfig, Limits]:
+    """A plant with a random motor and inverter, and the limits with its voltage and current."""
+    motor = random_motor(seed, number)
+    real = with_random_inverter(motor.at(plant, axis), axis, seed, number)
+    return real, dataclasses.replace(limits, voltage=motor.voltage, current=motor.current)
+
+
 @dataclass(frozen=True)
 class Trials:
     """Numbered random motors; can be pickled."""
@@ -54,21 +61,16 @@ class Trials:
     plant: PlantConfig  # all values except those of the motor
     base: Mapping[str, Any]  # parsed ``servo.toml``
     axis: int
-    limits: Limits
+    limits: Limits  # voltage and current are those of each motor
     level: Level  # level of the measured boards
     seed: int
-    wide: bool = False  # whether the motors are those of `wide_motor`, each with its own voltage and current
+    refined: bool = True  # whether the estimates are refined by simulation
 
     def run(self, number: int) -> Trial:
-        seed, limits = self.seed + number, self.limits
-        if self.wide:
-            plant, current = wide_motor(self.plant, self.axis, seed)
-            limits = dataclasses.replace(limits, voltage=plant.bus.u_source, current=current)
-        else:
-            plant = random_motor(self.plant, self.axis, seed)
+        plant, limits = random_case(self.plant, self.axis, self.limits, self.seed, number)
         truth = plant.axes[self.axis]
-        log, problem = measure_virtual(plant, self.axis, limits, self.base, level=self.level, seed=seed)
-        result = identified(log, self.plant, problem, level=self.level)
+        log, problem = measure_virtual(plant, self.axis, limits, self.base, level=self.level, seed=self.seed)
+        result = identified(log, self.plant, problem, refined=self.refined, level=self.level)
         errors, covered = {}, {}
         for name in (*TARGETS, "viscous", "pole_pairs"):
             if name in result.estimates.values:
@@ -87,17 +89,17 @@ def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
     """Summary as lines of text."""
     done = [trial for _, trial in trials if not trial.problems]
     lines = [f"{len(trials)} motors: {len(done)} identified, {len(trials) - len(done)} not identified, with a reason"]
-    rows = [["", "within target", "|error| 50 %", "95 %", "max", "interval covers"]]
+    rows = [["", "within target", "bias", "scatter", "|error| 95 %", "max", "interval covers"]]
     for name in (*TARGETS, "viscous"):
-        errors = np.array([abs(trial.errors[name]) for trial in done if name in trial.errors])
+        errors = np.array([trial.errors[name] for trial in done if name in trial.errors])
         if not errors.size:
             continue
         covered = np.mean([trial.covered[name] for trial in done if name in trial.covered])
         target = TARGETS.get(name)
-        within = "" if target is None else f"{100 * np.mean(errors <= target):.1f} % < {100 * target:g} %"
-        half, maximum = np.percentile(errors, (50, 95))
-        figures = (f"{100 * figure:.2f} %" for figure in (half, maximum, errors.max()))
-        rows.append([name, within, *figures, f"{100 * covered:.1f} %"])
+        within = "" if target is None else f"{100 * np.mean(np.abs(errors) <= target):.1f} % < {100 * target:g} %"
+        large, largest = np.percentile(np.abs(errors), (95, 100))
+        figures = (f"{100 * figure:.2f} %" for figure in (errors.std(), large, largest))
+        rows.append([name, within, f"{100 * errors.mean():+.2f} %", *figures, f"{100 * covered:.1f} %"])
     lines += aligned(rows, "<>")
     seconds = np.array([trial.seconds for _, trial in trials])
     lines.append(f"board time: median {np.median(seconds):.1f} s, maximum {seconds.max():.1f} s (limit {TIME_MAX:g} s)")

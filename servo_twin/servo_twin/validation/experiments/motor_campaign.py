@@ -8,7 +8,6 @@ import copy
 import dataclasses
 import functools
 import math
-import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -31,6 +30,7 @@ from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
+from servo_twin.random_motor import RandomMotor, random_motor
 from servo_twin.runner import HERE, Runner, run_in_order
 from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.simulation import SimulationError, enable, move
@@ -47,23 +47,6 @@ is accepted, or contradicts a limit of the board; every accepted one drives: no 
 COUNT: Final = 120
 """Default number of motors."""
 
-R_S: Final = (0.03, 12.0)  # [ohm]
-INDUCTANCE: Final = (15e-6, 8e-3)  # L_d [H]
-POLE_PAIRS: Final = (2.0, 25.0)
-INERTIA: Final = (1e-7, 1e-2)  # [kg m^2]
-VOLTAGE: Final = (12.0, 33.0)  # of the bus [V]
-NO_LOAD_SPEED: Final = (20.0, 700.0)  # at that voltage [rad/s]
-CURRENT: Final = (0.2, 4.0)  # of the drive, peak [A]
-FRICTION: Final = (0.01, 0.1)  # Coulomb friction over the torque of that current
-VISCOUS: Final = (0.005, 0.05)  # viscous friction at the no-load speed over that torque
-SALIENCY: Final = (1.0, 1.4)  # L_q / L_d
-
-STALL_USE: Final = 0.6
-"""Largest current over the one that the voltage drives through the winding at standstill."""
-TIME_CONSTANT: Final = (5e-5, 20e-3)
-"""L_d / R of motors that are built [s]; a draw outside is repeated, as outside of the next two."""
-ACCELERATION_TIME: Final = (5e-3, 5.0)  # to the no-load speed with the current of the drive [s]
-FLUX: Final = (1e-4, 0.5)  # [V s]
 SPEED_USE: Final = 0.7  # limits.speed over the no-load speed
 ACCELERATION_USE: Final = 0.6  # limits.acceleration over the one by the current of the drive
 
@@ -78,50 +61,6 @@ DURATION_MAX: Final = 1.25
 SETTLING: Final = 0.3  # [s]
 
 
-@dataclass(frozen=True)
-class OwnMotor:
-    """A motor with its supply and drive."""
-
-    r_s: float  # [ohm]
-    l_d: float  # [H]
-    l_q: float  # [H]
-    psi_m: float  # [V s]
-    pole_pairs: int
-    inertia: float  # [kg m^2]
-    friction: float  # Coulomb [N m]
-    viscous: float  # [N m s]
-    voltage: float  # of the bus [V]
-    current: float  # of the drive, peak [A]
-    no_load_speed: float  # at that voltage [rad/s]
-
-    def __str__(self) -> str:
-        return (
-            f"{self.r_s:.3g} ohm, {1e3 * self.l_d:.3g} mH, {self.pole_pairs} pole pairs, {self.inertia:.2g} kg m^2, "
-            f"{self.voltage:.3g} V, {self.current:.2g} A, {self.no_load_speed:.3g} rad/s"
-        )
-
-
-def draw(seed: int, number: int) -> OwnMotor:
-    """Create a motor; it depends on the arguments only."""
-    rng = random.Random(f"{NAME} {seed} {number}")
-
-    def spread(span: tuple[float, float]) -> float:
-        return math.exp(rng.uniform(math.log(span[0]), math.log(span[1])))
-
-    while True:
-        r_s, l_d, inertia, voltage = spread(R_S), spread(INDUCTANCE), spread(INERTIA), rng.uniform(*VOLTAGE)
-        pairs, idle = round(spread(POLE_PAIRS)), spread(NO_LOAD_SPEED)
-        phase = voltage / math.sqrt(3.0)
-        current = min(spread(CURRENT), STALL_USE * phase / r_s)
-        psi = phase / (pairs * idle)
-        torque = 1.5 * pairs * psi * current
-        spans = ((l_d / r_s, TIME_CONSTANT), (inertia * idle / torque, ACCELERATION_TIME), (psi, FLUX))
-        if all(low <= value <= high for value, (low, high) in spans):
-            friction, viscous = torque * spread(FRICTION), torque * spread(VISCOUS) / idle
-            l_q = l_d * rng.uniform(*SALIENCY)
-            return OwnMotor(r_s, l_d, l_q, psi, pairs, inertia, friction, viscous, voltage, current, idle)
-
-
 def _with_brake() -> dict[str, Any]:
     """The ``servo.toml`` of a board with a brake resistor and thresholds for any of the voltages."""
     table = copy.deepcopy(dict(servo_table()))
@@ -133,7 +72,7 @@ def _with_brake() -> dict[str, Any]:
     return table
 
 
-def data_sheet(motor: OwnMotor) -> dict[str, Any]:
+def data_sheet(motor: RandomMotor) -> dict[str, Any]:
     """A ``servo.toml`` with the data of the motor, as in the first two steps of ``firmware/config/README.md``."""
     table = _with_brake()
     board = table["board"]
@@ -165,7 +104,7 @@ class Result:
     """Result of a motor."""
 
     number: int
-    motor: OwnMotor
+    motor: RandomMotor
     refusals: tuple[str, ...]  # refused entries, in the order of their correction
     refused: str  # final refusal; empty: accepted
     contradicts: bool  # whether the final refusal has no remedy but another motor or supply
@@ -210,7 +149,7 @@ def _applicable(remedy: Remedy) -> bool:
 
 def run_trial(seed: int, number: int, plant: PlantConfig) -> Result:
     """Configure and drive one motor; `plant` has the other properties of the board."""
-    motor = draw(seed, number)
+    motor = random_motor(seed, number)
     found = corrected(data_sheet(motor))
     table, refusals = found.table, tuple(one.entry for one in found.corrected)
     if refusal := refusal_of(table):
@@ -223,13 +162,10 @@ def run_trial(seed: int, number: int, plant: PlantConfig) -> Result:
         return dataclasses.replace(result, problem=str(problem))
 
 
-def _with_motor(plant: PlantConfig, motor: OwnMotor) -> PlantConfig:
-    names = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous")
-    values = {name: getattr(motor, name) for name in names} | {"pole_pairs": float(motor.pole_pairs)}
+def _with_motor(plant: PlantConfig, motor: RandomMotor) -> PlantConfig:
     for axis in range(AXES):
-        plant = plant.with_axis(axis, **values)
-    resistance = float(servo_table()["board"]["brake"]["resistance"])
-    return plant.with_bus(u_source=motor.voltage, r_brake=resistance)
+        plant = motor.at(plant, axis)
+    return plant.with_bus(r_brake=float(servo_table()["board"]["brake"]["resistance"]))
 
 
 def _driven(result: Result, configuration: Configuration, plant: PlantConfig, seed: int) -> Result:
