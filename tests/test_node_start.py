@@ -15,12 +15,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file, parameter_value_to_python
 from servo_bridge.node import ServoBridge
 from servo_bridge.parameters import PARAMETERS as BRIDGE_PARAMETERS
-from servo_msgs_py.runtime.node_shell import NameTakenError, claim_name, full_name
-from servo_msgs_py.runtime.parameters import ParameterError, Spec, ros_parameter_file
+from servo_msgs_py.runtime.node_shell import NameTakenError, claim_name, full_name, run
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, declare, ros_parameter_file, spec
 from servo_twin.node import PARAMETERS as TWIN_PARAMETERS
 from servo_twin.node import ServoTwin
 from servo_twin.viewer_node import PARAMETERS as VIEWER_PARAMETERS
 from servo_twin.viewer_node import ServoViewer
+
+from servo_bridge import command
 
 pytestmark = pytest.mark.realtime
 
@@ -141,6 +143,41 @@ def test_second_program_with_the_same_name_ends_with_a_message(context: rclpy.Co
     assert second.stderr.startswith(f"{module}: a node /{taken} is already running"), second.stderr
     assert len(second.stderr.splitlines()) == 1
     holder.destroy_node()
+
+
+class Finished(Node):
+    """A node that ends at once."""
+
+    failure, finished = "", True
+
+    def __init__(self) -> None:
+        super().__init__("finished")
+        declare(self, {"port": spec("", "text"), "baud": spec(1, "number")})
+
+    def shutdown(self) -> None:
+        self.destroy_node()
+
+
+GIVEN = "--ros-args -p prot:=1 -p xyz:=2 -p baud:=3 -p use_sim_time:=false".split()
+
+
+@pytest.mark.parametrize(
+    ("start", "unknown"),
+    [
+        (lambda: run("finished", "", {}, lambda _: Finished(), GIVEN), ["did you mean port?", "none has a similar"]),
+        (lambda: command.main(["--wait", "0", "state", *GIVEN]), ["none has a similar"] * 3),
+    ],
+)
+def test_unknown_parameters_are_named(
+    start: Callable[[], int], unknown: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Nodes and programs that send commands; rclpy would ignore them silently."""
+    start()
+    lines = [line for line in capfd.readouterr().err.splitlines() if "does not exist and is ignored" in line]
+    assert len(lines) == len(unknown)
+    for line in lines:
+        assert any(text in line for text in unknown)
+    assert ("parameter baud" in "".join(lines)) == (len(lines) == 3)
 
 
 CONFIGURATIONS = [

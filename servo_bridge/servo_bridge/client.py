@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from servo_msgs_py.answers import LEASE_PERIOD, Answer, Phase, answer_from_message, new_ticket
+from servo_msgs_py.runtime.parameters import warn_of_unknown
 from servo_msgs_py.runtime.program import Stop, deferred
 from servo_msgs_py.runtime.qos import answers_qos, command_qos
 from std_msgs.msg import String
@@ -87,6 +88,7 @@ class Client(Node):
 
     def __init__(self, name: str, session: Session, namespace: str) -> None:
         super().__init__(name)
+        warn_of_unknown(self)
         self._session = session
         self._namespace = namespace
         self._commands: Commands | None = None

@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 from servo_msgs_py.runtime.node_name import claim
-from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, ros_parameter_file
+from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, ros_parameter_file, warn_of_unknown
 from servo_msgs_py.runtime.program import complain, deferred, program
 
 _SPIN_TIMEOUT: Final = 0.1  # longest delay until a stop request is processed [s]
@@ -141,6 +141,7 @@ def _run(
         failure = ""
         try:
             node = make(executor)
+            warn_of_unknown(node)
             executor.add_node(node)
             while ok() and not stop.requested and not node.failure and not node.finished:
                 executor.spin_once(timeout_sec=_SPIN_TIMEOUT)

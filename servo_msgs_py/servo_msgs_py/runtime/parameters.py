@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -87,6 +88,18 @@ def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False
         except ParameterException as error:
             raise ParameterError(f"parameter {name}: {error}; description: {spec.text}") from None
     return values
+
+
+def warn_of_unknown(node: Node) -> None:
+    """Log a warning for each given value of a parameter that the node has not declared; rclpy ignores it silently.
+
+    This is no error: a parameter file for ``/**`` may have parameters of several nodes.
+    """
+    known = node.get_parameters_by_prefix("")
+    for name in sorted(node._parameter_overrides.keys() - known.keys()):  # rclpy has no public access
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else "none has a similar name"
+        node.get_logger().warning(f"parameter {name} does not exist and is ignored; {hint}")
 
 
 def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
