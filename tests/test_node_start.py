@@ -145,7 +145,7 @@ def test_second_program_with_the_same_name_ends_with_a_message(context: rclpy.Co
     holder.destroy_node()
 
 
-class Finished(Node):
+class Finished(Node):  # type: ignore[misc]
     """A node that ends at once."""
 
     failure, finished = "", True
@@ -158,7 +158,7 @@ class Finished(Node):
         self.destroy_node()
 
 
-GIVEN = "--ros-args -p prot:=1 -p xyz:=2 -p baud:=3 -p use_sim_time:=false".split()
+GIVEN = ["--ros-args", "-p", "prot:=1", "-p", "xyz:=2", "-p", "baud:=3", "-p", "use_sim_time:=false"]
 
 
 @pytest.mark.parametrize(
