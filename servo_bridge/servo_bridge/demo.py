@@ -217,7 +217,7 @@ class Demo:
         ticks, *columns = client.since(tick, ["tick", *names])
         position, reference = np.array_split(np.column_stack(columns), 2, axis=1)
         time = (ticks - ticks[0]) * (PERIOD_NS * 1e-9)
-        figures = measure_path(time, position, reference, path, (start - ticks[0]) * (PERIOD_NS * 1e-9))
+        figures = measure_path(time, position, reference, path)
         residuals = tuple(filter(None, self._residuals(start_ns, client.now_ns())))
         self.paths.append(PathRow(title, tuple(client.joints), figures, _PATH_ERROR, self._tolerance, residuals))
         for joint, distance in zip(client.joints, figures.error_max, strict=True):

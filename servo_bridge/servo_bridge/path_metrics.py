@@ -15,6 +15,9 @@ from servo_bridge.trajectory.path import Path
 Series = NDArray[np.float64]
 
 _STEPS: Final = 12  # of the Gauss-Newton method; it converges from an error of up to a quarter of a period
+_TRIED: Final = (
+    4.0  # tried begins per time in which the fastest motion covers the range of the path: 12 per period of a sine
+)
 _REFERENCE_ERROR: Final = 0.01  # between the path and the set-points of a board that has received all points [rad]
 
 
@@ -30,7 +33,7 @@ class PathFigures:
     end_error: tuple[float, ...]  # mean of that error after the end of the path, per joint [rad]
 
 
-def measure_path(time: Series, position: Series, reference: Series, path: Path, guess: float) -> PathFigures:
+def measure_path(time: Series, position: Series, reference: Series, path: Path) -> PathFigures:
     """Compare recorded positions with the commanded path.
 
     Parameters
@@ -41,8 +44,6 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
         Measured position and set-point of the board [rad].
     path : Path
         Commanded path.
-    guess : float
-        Begin of the motion, in the time of the samples, with an error below a quarter of its shortest period [s].
 
     Raises
     ------
@@ -52,7 +53,9 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
     shape = len(time), len(path.joints)
     if position.shape != shape or reference.shape != shape:
         raise ValueError(f"positions of shape {position.shape}, set-points of {reference.shape}; required {shape}")
-    starts = [_start(time, reference[:, k], path.select([joint]), guess) for k, joint in enumerate(path.joints)]
+    if time[-1] - time[0] <= path.duration:
+        raise ValueError(f"samples from {time[0]:g} s to {time[-1]:g} s do not contain a path of {path.duration:g} s")
+    starts = [_start(time, reference[:, k], path.select([joint])) for k, joint in enumerate(path.joints)]
     start = float(np.mean(starts))
     if not time[0] <= start < start + path.duration < time[-1]:
         raise ValueError(f"samples from {time[0]:g} s to {time[-1]:g} s do not contain the path from {start:g} s")
@@ -73,12 +76,19 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
     )
 
 
-def _start(time: Series, reference: Series, path: Path, guess: float) -> float:
+def _start(time: Series, reference: Series, path: Path) -> float:
     """Begin of the path of a joint: least-squares fit of the delay of its set-points.
 
-    Set-points are whole counts; some hundred samples give the delay to a fraction of a PWM period.
+    The first estimate is the best one of a search over all delays that the samples permit: on a busy computer the begin
+    cannot be predicted. Set-points are whole counts; some hundred samples give the delay to a fraction of a PWM period.
     """
-    start = guess
+
+    def difference(start: float) -> float:
+        return float(np.sum((reference - path.state(time - start + path.start_time).position[:, 0]) ** 2))
+
+    whole = path.state(time - time[0] + path.start_time)
+    spacing = np.ptp(whole.position) / np.abs(whole.velocity).max() / _TRIED
+    start = min(np.arange(time[0], time[-1] - path.duration + spacing, spacing), key=difference)
     for _ in range(_STEPS):
         state = path.state(time - start + path.start_time)
         velocity = state.velocity[:, 0]
@@ -86,4 +96,4 @@ def _start(time: Series, reference: Series, path: Path, guess: float) -> float:
         start -= step
         if abs(step) < 1e-3 * PERIOD:
             break
-    return start
+    return float(start)
