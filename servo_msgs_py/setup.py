@@ -17,7 +17,7 @@ setup(
     # Spelt out, an editable install is a plain path entry. The import hook that setuptools writes otherwise loses to
     # the folder of the same name when the current directory is the root of the repository.
     package_dir={"": "."},
-    package_data={"": ["*.toml", "boards/*.toml", "py.typed"]},
+    package_data={"": ["*.toml", "boards/*.toml", "*.xml", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (SHARE, ["package.xml"]),

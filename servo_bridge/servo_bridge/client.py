@@ -19,6 +19,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from servo_msgs_py.answers import LEASE_PERIOD, Answer, Phase, answer_from_message, new_ticket
+from servo_msgs_py.runtime.discovery import announce_often
+from servo_msgs_py.runtime.node_name import taken
 from servo_msgs_py.runtime.parameters import warn_of_unknown
 from servo_msgs_py.runtime.program import Stop, deferred
 from servo_msgs_py.runtime.qos import answers_qos, command_qos
@@ -27,9 +29,11 @@ from trajectory_msgs.msg import JointTrajectory
 
 from servo_msgs_py import topics
 
+BRIDGE: Final = "servo_bridge"  # name of its node
 STEP: Final = 0.02  # longest period of the check of a condition [s]
 _AGAIN: Final = 0.5
 """Time after which a command without an answer is repeated: it may have met no subscriber [s]."""
+_PERIODS: Final = 3  # most timeouts that a wait takes while the discovery of the bridge makes progress
 
 
 class CommandError(RuntimeError):
@@ -61,6 +65,7 @@ def ros_session(argv: Sequence[str]) -> Iterator[Session]:
     argv : sequence of str
         Arguments with the name of the program.
     """
+    announce_often()
     rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     try:
         with deferred() as stop:
@@ -126,13 +131,35 @@ class Client(Node):
             self._commands.renew()
 
     def holds(self, condition: Callable[[], object], timeout: float) -> bool:
-        """Wait until the condition holds or for the timeout [s]; returns whether it holds."""
-        deadline = time.monotonic() + timeout
-        while not condition():
-            if time.monotonic() >= deadline:
-                return False
-            self.step()
-        return True
+        """Wait until the condition holds or for the timeout; returns whether it holds.
+
+        The timeout [s] counts the steps of this program, each for `STEP` at most: a busy computer does not shorten it.
+        It begins again, `_PERIODS` times in all, if more of the bridge was discovered meanwhile, or if a bridge runs on
+        this computer and nothing of it was.
+        """
+        for _ in range(_PERIODS):
+            found, passed = len(self._topics()), 0.0
+            while not condition():
+                if passed >= timeout:
+                    break
+                begin = time.monotonic()
+                self.step()
+                passed += min(time.monotonic() - begin, STEP)
+            else:
+                return True
+            if len(self._topics()) <= found and not self.undiscovered:
+                break
+        return False
+
+    def _topics(self) -> list[str]:
+        """Discovered topics of the servo."""
+        return [name for name, _ in self.get_topic_names_and_types() if name.startswith(self.of(""))]
+
+    @property
+    def undiscovered(self) -> bool:
+        """Whether the bridge runs on this computer and in this ROS domain, but is not discovered."""
+        bridge = self.of(BRIDGE).lstrip("/")
+        return not self.count_publishers(self.of(topics.LINK)) and taken(bridge, self.context.get_domain_id())
 
 
 class Commands:
@@ -180,19 +207,20 @@ class Commands:
         CommandError
             If it is refused, or not answered within the timeout [s].
         """
-        deadline = time.monotonic() + timeout
         if not self._client.holds(lambda: not self.missing(), timeout):
             raise CommandError(f"no subscriber on {', '.join(self.missing())} within {timeout:g} s; start the bridge")
         ticket = self.publish(message)
-        again = time.monotonic() + _AGAIN
-        while ticket not in self._answers:
-            now = time.monotonic()
-            if now >= deadline:
-                raise CommandError(f"no answer of the bridge to the command within {timeout:g} s")
-            if now >= again:
-                again = now + _AGAIN
-                self._publishers[type(message)].publish(message)
-            self._client.step()
+        published = time.monotonic()
+
+        def answered() -> bool:
+            nonlocal published
+            if time.monotonic() >= published + _AGAIN:
+                published = time.monotonic()
+                self.repeat(message)
+            return ticket in self._answers
+
+        if not self._client.holds(answered, timeout):
+            raise CommandError(f"no answer of the bridge to the command within {timeout:g} s")
         self.answer(ticket)
         return ticket
 

@@ -19,10 +19,9 @@ from servo_msgs_py.value_text import value_text
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from servo_bridge.client import Client, CommandError, Session
+from servo_bridge.client import BRIDGE, Client, CommandError, Session
 from servo_msgs_py import topics
 
-_BRIDGE: Final = "servo_bridge"  # name of the bridge node
 _LIST: Final = "board_parameters"  # parameter of the bridge
 _DIAGNOSTICS: Final = 2.5  # timeout; the period is 1 s [s]
 _HOME_POSITIONS: Final = "home_positions"  # parameter of the bridge
@@ -53,7 +52,7 @@ class Commander(Client):
 
     def _part(self, name: str) -> str:
         """Name of a status of the bridge in /diagnostics."""
-        return f"{self.of(_BRIDGE).lstrip('/')}: {name}"
+        return f"{self.of(BRIDGE).lstrip('/')}: {name}"
 
     def wait_for(self, condition: Callable[[], object], failure: str, timeout: float | None = None) -> None:
         """Wait until the condition holds; `timeout` [s], default: that of this client.
@@ -65,9 +64,13 @@ class Commander(Client):
         """
         timeout = self.timeout if timeout is None else timeout
         if not self.holds(condition, timeout):
-            raise CommandError(
-                f"{failure} within {timeout:g} s; check that the bridge runs in the same ROS domain (`make up`)"
-            )
+            hint = "check that the bridge runs in the same ROS domain (`make up`)"
+            if self.undiscovered:
+                hint = (
+                    "the bridge runs on this computer and in this ROS domain, but ROS does not find it: give both the "
+                    "same ROS_AUTOMATIC_DISCOVERY_RANGE and RMW_IMPLEMENTATION, or relieve the computer"
+                )
+            raise CommandError(f"{failure} within {timeout:g} s; {hint}")
 
     # ---- services
     def _call(self, kind: Any, request: Any, name: str, timeout: float | None = None) -> Any:
@@ -149,7 +152,7 @@ class Commander(Client):
         return str(response.message)
 
     def _set_home_position(self, axis: int, position: float) -> None:
-        bridge = f"{_BRIDGE}/"
+        bridge = f"{BRIDGE}/"
         request = GetParameters.Request(names=[_HOME_POSITIONS])
         values = list(self._call(GetParameters, request, bridge + "get_parameters").values[0].double_array_value)
         values[axis] = position
@@ -289,7 +292,7 @@ class Commander(Client):
         CommandError
             If the bridge or the board refuses them, with the reason.
         """
-        bridge = f"{_BRIDGE}/"
+        bridge = f"{BRIDGE}/"
         request = GetParameters.Request(names=[_LIST])
         before = self._call(GetParameters, request, bridge + "get_parameters").values[0].string_array_value
         known = [parse(text, self._catalogue) for text in before if text]
