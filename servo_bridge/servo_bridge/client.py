@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from servo_msgs_py.answers import LEASE_PERIOD, Answer, Phase, answer_from_message, new_ticket
-from servo_msgs_py.runtime.discovery import announce_often
+from servo_msgs_py.runtime import ros_environment
 from servo_msgs_py.runtime.node_name import taken
 from servo_msgs_py.runtime.parameters import warn_of_unknown
 from servo_msgs_py.runtime.program import Stop, deferred
@@ -65,7 +65,7 @@ def ros_session(argv: Sequence[str]) -> Iterator[Session]:
     argv : sequence of str
         Arguments with the name of the program.
     """
-    announce_often()
+    ros_environment.prepare()
     rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     try:
         with deferred() as stop:

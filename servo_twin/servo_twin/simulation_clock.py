@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from servo_msgs_py.convert import to_stamp
+from servo_msgs_py.runtime import ros_environment
 from servo_msgs_py.runtime.node_shell import claim_name
 from servo_msgs_py.runtime.parameters import declare, spec
 from std_srvs.srv import SetBool, Trigger
@@ -45,6 +46,7 @@ class SimulationClock:
     def __init__(self, set_speed: Callable[[float], None], step: Callable[[], None], speed: float) -> None:
         self._set_speed, self._step = set_speed, step
         self._paused, self._published_ns = False, -_INTERVAL_NS
+        ros_environment.prepare()
         self._context = Context()
         self._context.init(args=None)
         self._node = Node(_NAME, context=self._context)

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
-from servo_msgs_py.runtime.discovery import announce_often
+from servo_msgs_py.runtime import ros_environment
 from servo_msgs_py.runtime.node_name import claim
 from servo_msgs_py.runtime.parameters import ParameterError, Spec, help_text, ros_parameter_file, warn_of_unknown
 from servo_msgs_py.runtime.program import complain, deferred, program
@@ -131,7 +131,7 @@ def _run(
         return 0
     if own:
         return _print_error(name, f"unknown argument {own[0]}; --help lists all arguments", 2)
-    announce_often()
+    ros_environment.prepare()
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
