@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -126,6 +127,21 @@ def test_interruption_stops_the_shaft_and_restores_the_board(
     assert board.read("axis1.test_point") == 0
     assert board.read("param.command_timeout") == 0.5
     assert board.catalogue.label("substate_t", board.read_words("axis1.substate")[0]) == "SPIN"
+
+
+def test_a_closed_output_leaves_the_files_and_the_board(
+    bode: Tool, board: Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "write", _closed)
+    with pytest.raises(BrokenPipeError):  # which the wrapper of the program turns into its status
+        bode("axis1", "speed", "--enable", "--repeat", 2, "--out", tmp_path)
+    assert (tmp_path / "bode_axis1_speed.csv").exists()
+    assert board.read("cmd.enable") == [0, 0]
+    assert board.read("axis1.faults") == 0
+
+
+def _closed(_: str) -> int:
+    raise BrokenPipeError
 
 
 def test_missing_answer_gives_exit_status_1_and_the_reason(

@@ -86,11 +86,11 @@ def bode(context: Context) -> int:
                 report=lambda sentence: complain(f"servo-tool: {sentence}"),
                 progress=lambda text, done, total: show(bar, f"{text} ", done, total),
             )
-        print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))
         if args.out is not None:
             write_files(result, args.out)
         if args.rrd is not None:
             write_recording(result, args.rrd)
+        print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))
     except (MeasurementError, ValueError) as error:  # a number or a block was refused
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1

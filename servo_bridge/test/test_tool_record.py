@@ -7,6 +7,7 @@ import io
 import math
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -129,6 +130,18 @@ def test_signal_ends_a_burst_and_keeps_its_points(
     file = tmp_path / "x.csv"
     assert run("record", "axis1.i_q", "--trigger", "axis1.i_q > 3", "--points", "50", "-o", str(file)) == 0
     assert len(rows_of(file)[1]) == 50
+
+
+def test_a_closed_output_leaves_the_file(
+    servo: FakeServo, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(_: str) -> int:
+        raise BrokenPipeError
+
+    file = tmp_path / "x.csv"
+    monkeypatch.setattr(sys.stdout, "write", closed)
+    assert run("record", "--recorder", "0", "tick", "-o", str(file)) == 128 + signal.SIGPIPE
+    assert len(rows_of(file)[1]) > 100
 
 
 def test_lost_line_ends_a_burst_with_the_reason(
