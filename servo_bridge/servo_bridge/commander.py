@@ -73,11 +73,20 @@ class Commander(Client):
             raise CommandError(f"{failure} within {timeout:g} s; {hint}")
 
     # ---- services
-    def _call(self, kind: Any, request: Any, name: str, timeout: float | None = None) -> Any:
+    def _call(
+        self, kind: Any, request: Any, name: str, timeout: float | None = None, check: Callable[[], None] | None = None
+    ) -> Any:
+        """Response of a service; `check` is called while it is awaited, and may raise an exception."""
         client = self.create_client(kind, self.of(name))
         self.wait_for(client.service_is_ready, f"no service {self.of(name)} was found")
         future = client.call_async(request)
-        self.wait_for(future.done, f"{self.of(name)} did not answer", timeout)
+
+        def answered() -> bool:
+            if check is not None:
+                check()
+            return bool(future.done())
+
+        self.wait_for(answered, f"{self.of(name)} did not answer", timeout)
         return future.result()
 
     def _call_checked(self, kind: Any, request: Any, name: str, action: str) -> str:
@@ -133,8 +142,10 @@ class Commander(Client):
         """Call ``quick_stop`` or ``clear_faults``."""
         return self._call_checked(Trigger, Trigger.Request(), name, name)
 
-    def home(self, joint: str, method: str, position: float | None) -> str:
+    def home(self, joint: str, method: str, position: float | None, check: Callable[[], None] | None = None) -> str:
         """Home a joint, or set its present position, to `position` [rad]; None: parameter `home_positions`.
+
+        `check` is called during the homing, and may raise an exception.
 
         Raises
         ------
@@ -146,7 +157,7 @@ class Commander(Client):
             raise CommandError(f"joint {joint} does not exist; the joints are {', '.join(names)}")
         if position is not None:
             self._set_home_position(names.index(joint), position)
-        response = self._call(Trigger, Trigger.Request(), topics.home_service(joint, method), _HOMING)
+        response = self._call(Trigger, Trigger.Request(), topics.home_service(joint, method), _HOMING, check)
         if not response.success:
             raise CommandError(response.message)
         return str(response.message)

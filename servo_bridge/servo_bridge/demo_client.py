@@ -23,7 +23,7 @@ from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
 _ANSWER: Final = 5.0  # timeout of a service [s of board time]
-_SILENCE: Final = 10.0  # without telemetry after which every wait ends [s of this process]
+_SILENCE: Final = 10.0  # longest time without telemetry [s of this process]
 
 
 class ServoClient(Client):
@@ -72,13 +72,17 @@ class ServoClient(Client):
 
         Raises
         ------
+        CommandError
+            If the telemetry has ended: the bridge or its board was lost.
         Interrupted
             After a signal; once, so that the axes can be disabled.
         """
         passed = silent = 0.0
         tick = self.tick if self._rows else None
         while not condition():
-            if passed >= timeout or silent >= (timeout if tick is None else max(timeout, _SILENCE)):
+            if tick is not None and silent >= _SILENCE:
+                raise CommandError(f"no telemetry for {_SILENCE:g} s: the bridge or its board was lost")
+            if passed >= timeout or (tick is None and silent >= timeout):
                 return False
             begin = time.monotonic()
             self.step()

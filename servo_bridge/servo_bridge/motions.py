@@ -121,7 +121,7 @@ class Motions:
         """Home a joint; parameters and errors as `Commander.home`."""
         with self.stopped_on_error([joint]):
             self._commands.sent = True
-            return self._commander.home(joint, method, position)
+            return self._commander.home(joint, method, position, self._require_telemetry)
 
     def stop(self, joints: Sequence[str]) -> None:
         """Stop joints with the acceleration limit, and wait until they hold.
@@ -242,6 +242,10 @@ class Motions:
 
     def _step(self) -> None:
         self._commander.step()
+        self._require_telemetry()
+
+    def _require_telemetry(self) -> None:
+        """Raise `CommandError` if none is received any more."""
         if time.monotonic() - self._received > _SILENCE:
             raise CommandError(f"no telemetry for {_SILENCE:g} s: the bridge or its board was lost")
 

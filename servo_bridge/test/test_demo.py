@@ -25,6 +25,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
 
 from servo_bridge import demo as demo_module
+from servo_bridge import demo_client
 
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
@@ -241,6 +242,15 @@ def test_waits_follow_the_board_time() -> None:
 def test_waits_without_telemetry_count_turns_of_the_program() -> None:
     client = WaitingClient(0.05, None)  # the computer stops the program for most of the time
     assert not client.wait_for(lambda: False, 0.1)
+    assert client.turns == 5
+
+
+def test_end_of_the_telemetry_ends_every_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo_client, "_SILENCE", 0.1)
+    client = WaitingClient(0.05, None)
+    client._rows.append(np.zeros(1))
+    with pytest.raises(CommandError, match=r"no telemetry for 0\.1 s: the bridge or its board was lost"):
+        client.wait_for(lambda: False, 1e3)
     assert client.turns == 5
 
 
