@@ -53,5 +53,5 @@ class Programs:
 
     def link(self, name: str, files: Sequence[Path], options: Sequence[str] = ()) -> Path:
         """Link objects and C files with the start-up code."""
-        everything = [self.optimisation, _DEBUG, f"-I{self.bench}", *options]
+        everything = [*CORTEX_M3, self.optimisation, _DEBUG, f"-I{self.bench}", *options]
         return build_cortex(self.sources, self.folder / f"{name}.elf", files, everything)
