@@ -47,7 +47,7 @@ PATIENCE = 45.0
 """Time after which a wait fails [s]: a test that hangs. What must happen in time is asserted in board time."""
 FAST_BAUD = 1_000_000
 """Baud rate of tests that are independent of the line speed: reading the variable table takes 0.5 s, not 2.5 s."""
-BOARD, BRIDGE, TWIN, TOOL = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node", "servo_bridge.tool"
+BOARD, BRIDGE, TWIN = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node"
 
 
 class Process:

@@ -185,13 +185,6 @@ class PathSimulation:
                     self.dispatcher.acknowledged(write, error)
             self._sample(self.log[-1][-1])
 
-    def run_until(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Run until a condition holds; fail after `seconds`."""
-        end = self.now + seconds
-        while not condition():
-            assert self.now < end, f"not within {seconds} s"
-            self.run(SAMPLE_NS * 1e-9)
-
     def _sample(self, row: np.void) -> None:
         axes = []
         for axis in range(AXES):

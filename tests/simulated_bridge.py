@@ -131,9 +131,6 @@ class World:
     # ---- port
     low_latency = LowLatency(None, "simulated")
 
-    def close_port(self) -> None:
-        """The line stays, as a cable does."""
-
     def write(self, data: bytes) -> None:
         while data:
             data = data[self.board.serial_in(data) :]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import platform
 import subprocess
 import tempfile
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
 from servo_msgs_py.board_parameters import parameters
-from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.catalogue import AXES, Variable, axis_name
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.quantity import FINITE, Quantity
 
@@ -81,9 +80,6 @@ _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
 }
 
 
-_ANY: Final = Quantity(minimum=-math.inf, maximum=math.inf)
-
-
 @dataclass(frozen=True)
 class _Variable:
     """A variable of the FMU."""
@@ -91,10 +87,8 @@ class _Variable:
     name: str
     reference: int
     causality: str  # input, output, parameter
-    unit: str
-    text: str  # description
+    quantity: Quantity  # its range is that of a parameter
     start: float | None = None  # of inputs and parameters
-    valid: Quantity = _ANY  # range of a parameter
 
 
 @dataclass(frozen=True)
@@ -103,18 +97,15 @@ class _Element:
 
     name: str
     address: int
-    size: int  # [bytes]
-    signed: bool
-    lsb: float
-    unit: str
-    text: str
+    variable: Variable
     causality: str  # input, parameter, output
     start: float
     initial: bool  # written at the start
 
     def row(self) -> str:
-        flags = ", ".join(str(int(flag)) for flag in (self.signed, self.causality != "output", self.initial))
-        return f'    {{"{self.name}", {self.address}u, {self.size}u, {self.lsb!r}, {self.start!r}, {flags}}},\n'
+        flags = ", ".join(str(int(f)) for f in (self.variable.format.signed, self.causality != "output", self.initial))
+        size, lsb = self.variable.element_size, float(self.variable.lsb)
+        return f'    {{"{self.name}", {self.address}u, {size}u, {lsb!r}, {self.start!r}, {flags}}},\n'
 
 
 def _elements(board: Board) -> Iterator[_Element]:
@@ -134,11 +125,7 @@ def _elements(board: Board) -> Iterator[_Element]:
             yield _Element(
                 variable.name if variable.count == 1 else f"{axis_name(k)}.{variable.name}",
                 address + k * variable.element_size,
-                variable.element_size,
-                variable.format.signed,
-                float(variable.lsb),
-                variable.unit,
-                variable.text,
+                variable,
                 causality,
                 words[k] * float(variable.lsb) if causality == "parameter" else 0.0,
                 variable.name == _TIMEOUT,
@@ -225,16 +212,18 @@ def _variables(plant: PlantConfig, elements: Sequence[_Element]) -> Iterator[_Va
         for k, (name, unit, text) in enumerate(inputs):
             start = -plant.axes[axis].load_torque if name == "torque" else 0.0
             index = reference("input", axis * len(inputs) + k)
-            yield _Variable(f"{axis_name(axis)}.{name}", index, "input", unit, text, start)
+            yield _Variable(f"{axis_name(axis)}.{name}", index, "input", Quantity(unit=unit, text=text), start)
     index = reference("input", AXES * len(inputs))
-    yield _Variable("supply.u_source", index, "input", "V", "open-circuit voltage of the supply", plant.bus.u_source)
+    source = Quantity(unit="V", text="open-circuit voltage of the supply")
+    yield _Variable("supply.u_source", index, "input", source, plant.bus.u_source)
     for k, e in enumerate(elements):
         given = None if e.causality == "output" else e.start
-        yield _Variable(e.name, reference("firmware", k), e.causality, e.unit, e.text, given)
+        quantity = Quantity(unit=e.variable.unit, text=e.variable.text)  # the firmware checks its range
+        yield _Variable(e.name, reference("firmware", k), e.causality, quantity, given)
     for axis in range(AXES):
         for k, (name, one) in enumerate(TRUTH.items()):
             index = reference("truth", k, axis)
-            yield _Variable(f"truth.{axis_name(axis)}.{name}", index, "output", one.unit, one.text)
+            yield _Variable(f"truth.{axis_name(axis)}.{name}", index, "output", one)
         for k, number in enumerate(_axis_parameters(plant, axis)):
             index = reference("plant", k, axis)
             yield _parameter(f"plant.{axis_name(axis)}", index, number)
@@ -243,8 +232,7 @@ def _variables(plant: PlantConfig, elements: Sequence[_Element]) -> Iterator[_Va
 
 
 def _parameter(part: str, reference: int, number: _Number) -> _Variable:
-    valid = number.valid
-    return _Variable(f"{part}.{number.name}", reference, "parameter", valid.unit, valid.text, number.value, valid)
+    return _Variable(f"{part}.{number.name}", reference, "parameter", number.valid, number.value)
 
 
 def _description(variables: Sequence[_Variable], token: str) -> bytes:
@@ -277,14 +265,14 @@ def _description(variables: Sequence[_Variable], token: str) -> bytes:
         attributes = {"name": v.name, "valueReference": str(v.reference), "causality": v.causality}
         fixed = v.name.startswith("plant.")
         attributes["variability"] = "fixed" if fixed else "tunable" if v.causality == "parameter" else "discrete"
-        if v.unit in _UNITS:
-            attributes["unit"] = v.unit
-        for bound, value in (("min", v.valid.minimum), ("max", v.valid.maximum)):
+        if v.quantity.unit in _UNITS:
+            attributes["unit"] = v.quantity.unit
+        for bound, value in (("min", v.quantity.minimum), ("max", v.quantity.maximum)):
             if abs(value) < FINITE:
                 attributes[bound] = repr(value)
         if v.start is not None:
             attributes["start"] = repr(v.start).replace("inf", "INF")
-        ET.SubElement(listed, "Float64", {**attributes, "description": v.text})
+        ET.SubElement(listed, "Float64", {**attributes, "description": v.quantity.text})
     structure = ET.SubElement(root, "ModelStructure")
     for kind in ("Output", "InitialUnknown"):
         for v in variables:
