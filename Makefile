@@ -63,7 +63,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware chip-budget bench-twin bench-fmu bench-state bench-robot launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
+.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware firmware-elf chip-budget bench-twin bench-fmu bench-state bench-robot launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -97,6 +97,9 @@ bench-damage: $(VENV)/.native $(VENV)/.dev ## a million damaged frames between c
 
 bench-firmware: $(VENV)/.native ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
+
+firmware-elf: ## the firmware as an ELF file, for `virtual_board --elf` (servo_twin/doc/elf.md); OPT=-Os
+	@$(MAKE) --no-print-directory -C firmware/port/mc56f84789_m4 $(if $(OPT),OPT=$(OPT))
 
 chip-budget: ## stack and RAM of the chip, estimated with arm-none-eabi-gcc and avr-gcc
 	@python3 firmware/port/chip_budget.py

@@ -43,12 +43,12 @@ size_t board_snapshot_size(void) { return sizeof(snapshot_t); }
 
 uint8_t board_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size)
 {
-    return servo_read(board_servo(board), address, data, size);
+    return board_software_read(board, address, data, size);
 }
 
 uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size)
 {
-    return servo_write(board_servo(board), address, data, size);
+    return board_software_write(board, address, data, size);
 }
 
 void board_set_winding(board_t *board, int axis, double celsius)
@@ -59,7 +59,7 @@ void board_set_winding(board_t *board, int axis, double celsius)
 
 void board_set_winding_estimate(board_t *board, int axis, double celsius)
 {
-    board_servo(board)->axis[axis].diagnosis.winding.temperature = (frac32_t)(celsius / 256.0 * 2147483648.0);
+    board_software_set_winding(board, axis, (frac32_t)(celsius / 256.0 * 2147483648.0));
 }
 
 const char *board_drive_shaft(board_t *board, int axis, double theta, double omega, double seconds)
@@ -90,7 +90,7 @@ size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_
 {
     size_t rows = 0;
     while (rows < max_rows && board_run_to_tick(board, until_ns)) {
-        memcpy(log + rows * sizeof(snapshot_t), &board_servo(board)->snapshot, sizeof(snapshot_t));
+        memcpy(log + rows * sizeof(snapshot_t), board_software_snapshot(board), sizeof(snapshot_t));
         rows++;
     }
     return rows;
@@ -191,6 +191,9 @@ static void put_set_up(payload_writer_t *request, const board_cell_t *cell, uint
 uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uint16_t cells, uint32_t *samples,
                      uint32_t points)
 {
+    if (board_program_identity(board) != 0u) {
+        return FM_UNKNOWN_COMMAND; /* the recorder of a program has memory of its own only */
+    }
     freemaster_t *server = &board_servo(board)->freemaster;
     if (recorder < 0 || recorder >= FREEMASTER_RECORDERS || cells > RECORDER_SLOTS) {
         return FM_BAD_SIZE;

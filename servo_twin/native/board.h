@@ -104,6 +104,8 @@ typedef struct {
     uint64_t seed; /* seed of all random numbers */
     const uint8_t *flash; /* image of the data flash, board_flash_size() bytes; NULL: erased */
     const board_servo_config_t *servo; /* NULL: that of firmware/config/servo.toml */
+    const uint8_t *elf; /* program that is executed instead of the linked firmware; register level only; NULL: none */
+    size_t elf_size; /* [bytes] */
 } board_config_t;
 
 /* True state of the plant; reading it changes nothing. At register level that of the present clock, at the ideal level that of the

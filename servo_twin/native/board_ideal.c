@@ -24,6 +24,29 @@ flash_t *board_flash(board_t *board, uint64_t *now_ns)
 
 servo_t *board_servo(board_t *board) { return &board->servo; }
 
+uint64_t board_program_identity(const board_t *board)
+{
+    (void)board;
+    return 0;
+}
+
+uint8_t board_software_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size)
+{
+    return servo_read(&board->servo, address, data, size);
+}
+
+uint8_t board_software_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size)
+{
+    return servo_write(&board->servo, address, data, size);
+}
+
+const void *board_software_snapshot(board_t *board) { return &board->servo.snapshot; }
+
+void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
+{
+    board->servo.axis[axis].diagnosis.winding.temperature = temperature;
+}
+
 const char *board_error(const board_t *board)
 {
     (void)board;

@@ -39,6 +39,15 @@ void board_servo_config(const board_config_t *config, servo_config_t *servo);
 /* The servo, after its boot. */
 servo_t *board_servo(board_t *board);
 
+/* Identity of the program that is executed instead of that servo; 0: none. */
+uint64_t board_program_identity(const board_t *board);
+
+/* Functions of the software, whichever it is: servo_read, servo_write, the snapshot, the estimate of a winding. */
+uint8_t board_software_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size);
+uint8_t board_software_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size);
+const void *board_software_snapshot(board_t *board);
+void board_software_set_winding(board_t *board, int axis, frac32_t temperature);
+
 /* board_advance, at most to the next slow tick. True if it has stopped there. */
 bool board_run_to_tick(board_t *board, uint64_t until_ns);
 

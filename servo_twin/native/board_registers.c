@@ -4,9 +4,11 @@
 
 #include "board_parts.h"
 #include "chip/chip.h"
+#include "config/contract_gen.h"
 #include "plant/pins.h"
 #include "plant/switching.h"
 #include "port/mc56f84789/port.h"
+#include "program.h"
 
 #define CLOCK_NS 10u
 #define SYNC_CLOCKS 2u /* through the crossbar; not documented, two flip-flops are assumed */
@@ -33,6 +35,8 @@ struct board {
     unsigned closed[BOARD_AXES]; /* contacts whose pins are low, a bit per board_pin_t */
     bool up;        /* the port has started the servo */
     bool recording; /* stop after each slow tick */
+    uint32_t tick; /* of the last snapshot */
+    program_t program; /* instead of servo and hal, if it is loaded */
 };
 
 #include "board_pointers.h"
@@ -40,7 +44,7 @@ struct board {
 #define LINE(member) offsetof(struct board, chip.sci.line.member)
 #define LEFT_OUT(member) {.offset = offsetof(struct board, chip.member), .size = sizeof((struct board *)0)->chip.member}
 
-/* The contexts and the stack belong to a process and an address; they are made anew. */
+/* The contexts and the stack belong to a process and an address; they are made anew. So does the decoded program. */
 static const board_gap_t gaps[] = {
     LEFT_OUT(core.bus.escape),
     LEFT_OUT(core.inside),
@@ -48,6 +52,11 @@ static const board_gap_t gaps[] = {
     {LINE(in), SCI_LINE_IN, LINE(in_head), LINE(in_size)},
     {LINE(out), SCI_LINE_OUT, LINE(out_head), LINE(out_size)},
     LEFT_OUT(stack),
+    {.offset = offsetof(struct board, program.arm.region),
+     .size = offsetof(struct board, program.hooks) + sizeof(program_hooks_t *) -
+             offsetof(struct board, program.arm.region)},
+    {offsetof(struct board, program.ram), PROGRAM_RAM, offsetof(struct board, program.ram_first),
+     offsetof(struct board, program.ram_used)},
 };
 
 const board_layout_t board_layout = {
@@ -229,6 +238,7 @@ static void outputs_changed(void *self)
 static void boot(void *self)
 {
     board_t *board = (board_t *)self;
+    board->tick = 0;
     memset(&board->servo, 0, sizeof board->servo);
     memset(&board->hal, 0, sizeof board->hal);
     board->hal.chip = &board->chip;
@@ -236,22 +246,38 @@ static void boot(void *self)
     board->up = port_init(&board->hal, &board->servo, &board->config);
 }
 
-static uint32_t interrupt(void *self, unsigned vector)
+static void handler_begins(void *self) { update_pins((board_t *)self); }
+
+/* Clocks by which the handler takes longer. */
+static uint32_t handler_ended(board_t *board, unsigned vector, uint32_t tick)
 {
-    board_t *board = (board_t *)self;
-    const uint32_t tick = board->servo.snapshot.tick;
-    update_pins(board);
-    port_isr(&board->hal, (uint16_t)vector);
     const bool second = vector == VECTOR_ADC_CC0;
     const bool loop = vector == VECTOR_M1 || second;
     const bool starts = board->starting && vector == VECTOR_START;
-    const bool published = second && board->servo.snapshot.tick != tick;
+    const bool published = second && tick != board->tick;
+    board->tick = tick;
     board->starting = board->starting && !starts;
     board->chip.core.stop = board->chip.core.stop || starts || (board->recording && published);
     const uint32_t stall = loop ? board->stall_clocks : 0u;
     board->stall_clocks -= stall;
     return stall;
 }
+
+static uint32_t interrupt(void *self, unsigned vector)
+{
+    board_t *board = (board_t *)self;
+    handler_begins(self);
+    port_isr(&board->hal, (uint16_t)vector);
+    return handler_ended(board, vector, board->servo.snapshot.tick);
+}
+
+static uint32_t handler_ends(void *self, unsigned vector)
+{
+    board_t *board = (board_t *)self;
+    return handler_ended(board, vector, program_tick(&board->program));
+}
+
+static const program_hooks_t hooks = {handler_begins, handler_ends};
 
 static void background(void *self)
 {
@@ -286,6 +312,14 @@ flash_t *board_flash(board_t *board, uint64_t *now_ns)
 /* The memory that holds a board; kept in front of it. */
 static void **allocated(board_t *board) { return (void **)(void *)board - 1; }
 
+static void refuse_program(board_t *board, const char *problem)
+{
+    bus_t *bus = &board->chip.core.bus;
+    if (problem != NULL && setjmp(bus->escape) == 0) {
+        bus_fail(bus, "%s", problem);
+    }
+}
+
 board_t *board_new(const board_config_t *config)
 {
     uint8_t *room = (uint8_t *)calloc(1, sizeof(board_t) + 2 * SWITCHING_LINE);
@@ -315,10 +349,26 @@ board_t *board_new(const board_config_t *config)
         board->closed[axis] = ~0u; /* the pins are low so far */
         show_contacts(board, axis);
     }
+    if (config->elf != NULL) {
+        board->program.timeless = board->chip.core.unit_clocks == 0u;
+        refuse_program(board,
+                       program_load(&board->program, &board->chip, &hooks, config->elf, config->elf_size,
+                                    (config->servo != NULL) ? &board->config : NULL, (uint32_t)(board->baud + 0.5)));
+    }
     return board;
 }
 
 #define START_MAX 100000u /* clocks within which the sequence starts after the boot */
+#define BOOT_MAX 2000000u /* of a program, with the boot */
+
+static void run_chip(board_t *board, uint64_t until)
+{
+    if (board->program.loaded) {
+        program_run(&board->program, until);
+    } else {
+        (void)chip_run(&board->chip, until);
+    }
+}
 
 /* The software boots in the first access to the board, so that a trace can begin at power-on. Time zero of the interface is
  * the low-side centre of motor 1 in the first period with both loops: as on the board with the ideal chip. */
@@ -328,15 +378,20 @@ static void boot_once(board_t *board)
         return;
     }
     board->booted = true;
-    (void)chip_run(&board->chip, 0);
-    board->starting = true;
-    (void)chip_run(&board->chip, board->chip.core.bus.now + START_MAX);
+    board->starting = board->program.loaded;
+    run_chip(board, board->program.loaded ? BOOT_MAX : 0u);
+    if (!board->program.loaded) {
+        board->starting = true;
+        run_chip(board, board->chip.core.bus.now + START_MAX);
+    } else if (!board->starting && program_contract(&board->program) != CATALOGUE_HASH) {
+        refuse_program(board, "the ELF file has another table of variables (variables.toml) than this version");
+    }
     board->zero = board->chip.core.bus.now;
     if (!board->starting) {
         const pwm_submodule_t *master = &board->chip.pwm.module[0].sub[0];
         board->zero = master->origin + master->distance[PWM_CYCLE];
         board->chip.core.stop = false;
-        (void)chip_run(&board->chip, board->zero - 1u);
+        run_chip(board, board->zero - 1u);
     }
     board->starting = false;
 }
@@ -344,6 +399,7 @@ static void boot_once(board_t *board)
 void board_free(board_t *board)
 {
     if (board != NULL) {
+        program_free(&board->program);
         free(*allocated(board));
     }
 }
@@ -352,6 +408,38 @@ servo_t *board_servo(board_t *board)
 {
     boot_once(board);
     return &board->servo;
+}
+
+uint64_t board_program_identity(const board_t *board) { return board->program.identity; }
+
+uint8_t board_software_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size)
+{
+    boot_once(board);
+    return board->program.loaded ? program_read(&board->program, address, data, size)
+                                 : servo_read(&board->servo, address, data, size);
+}
+
+uint8_t board_software_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size)
+{
+    boot_once(board);
+    return board->program.loaded ? program_write(&board->program, address, data, size)
+                                 : servo_write(&board->servo, address, data, size);
+}
+
+const void *board_software_snapshot(board_t *board)
+{
+    return board->program.loaded ? (const void *)program_snapshot(&board->program)
+                                 : (const void *)&board->servo.snapshot;
+}
+
+void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
+{
+    boot_once(board);
+    if (board->program.loaded) {
+        program_set_winding(&board->program, axis, temperature);
+    } else {
+        board->servo.axis[axis].diagnosis.winding.temperature = temperature;
+    }
 }
 
 const char *board_error(const board_t *board)
@@ -364,7 +452,7 @@ static bool run(board_t *board, uint64_t until_ns)
 {
     boot_once(board);
     board->chip.core.stop = false;
-    (void)chip_run(&board->chip, board->zero + until_ns / CLOCK_NS);
+    run_chip(board, board->zero + until_ns / CLOCK_NS);
     const uint64_t reached =
         (board->chip.core.bus.now > board->zero) ? (board->chip.core.bus.now - board->zero) * CLOCK_NS : 0u;
     if (board->chip.core.stop || board->chip.core.bus.failed) {
@@ -383,6 +471,9 @@ void board_advance(board_t *board, uint64_t until_ns) { (void)run(board, until_n
 const char *board_rest(board_t *board)
 {
     boot_once(board);
+    if (board->program.loaded) {
+        return NULL; /* at any time */
+    }
     board->chip.core.stop_resting = true;
     (void)run(board, board->chip.core.resting ? board->time_ns : board->time_ns + REST_NS);
     board->chip.core.stop_resting = false;
@@ -390,7 +481,11 @@ const char *board_rest(board_t *board)
                                                                      : "the software has not come to rest within 1 ms";
 }
 
-void board_restored(board_t *board) { board->chip.core.alive = false; }
+void board_restored(board_t *board)
+{
+    board->chip.core.alive = false;
+    board->program.arm.failed = false;
+}
 
 uint64_t board_time_ns(const board_t *board) { return board->time_ns; }
 

@@ -23,9 +23,9 @@ static const char anchor = 0;
 static uint64_t distance(uintptr_t address) { return (uint64_t)(address - (uintptr_t)&anchor); }
 
 /* Sources, compiler and options, and some distances: a link with other ones has moved what the pointers lead to. */
-static uint64_t build_identity(void)
+static uint64_t build_identity(const board_t *board)
 {
-    uint64_t build = board_layout.build;
+    uint64_t build = board_layout.build ^ board_program_identity(board);
     build = (build ^ distance((uintptr_t)&board_layout)) * PRIME;
     build = (build ^ distance((uintptr_t)servo_init)) * PRIME;
     return (build ^ distance((uintptr_t)servo_read)) * PRIME;
@@ -81,7 +81,7 @@ static void convert(const board_t *board, uint8_t *place, uint64_t (*conversion)
     memcpy(place, &pointer, sizeof pointer);
 }
 
-/* In a copy of the board without its gaps. */
+/* In a copy of the board without its gaps; the pointers in these stay. */
 static void make_relative(const board_t *board, uint8_t *copy)
 {
     const board_gap_t *gap = board_layout.gap;
@@ -89,17 +89,27 @@ static void make_relative(const board_t *board, uint8_t *copy)
     size_t left_out = 0;
     for (size_t k = 0; k < board_layout.pointers; k++) {
         const size_t offset = board_layout.pointer[k];
-        for (; gap < end && gap->offset < offset; gap++) {
+        for (; gap < end && gap->offset + gap->size <= offset; gap++) {
             left_out += gap->size;
         }
-        convert(board, copy + offset - left_out, relative);
+        if (gap == end || offset < gap->offset) {
+            convert(board, copy + offset - left_out, relative);
+        }
     }
 }
 
 static void make_absolute(board_t *board)
 {
+    const board_gap_t *gap = board_layout.gap;
+    const board_gap_t *end = gap + board_layout.gaps;
     for (size_t k = 0; k < board_layout.pointers; k++) {
-        convert(board, (uint8_t *)board + board_layout.pointer[k], absolute);
+        const size_t offset = board_layout.pointer[k];
+        while (gap < end && gap->offset + gap->size <= offset) {
+            gap++;
+        }
+        if (gap == end || offset < gap->offset) {
+            convert(board, (uint8_t *)board + offset, absolute);
+        }
     }
 }
 
@@ -161,7 +171,7 @@ const char *board_save(board_t *board, uint8_t *image, size_t room, size_t *size
         return problem;
     }
     const servo_t *servo = board_servo(board);
-    if (servo->freemaster.samples.samples != servo->samples) {
+    if (board_program_identity(board) == 0u && servo->freemaster.samples.samples != servo->samples) {
         return "a recorder samples into memory of the host; end the sampling first";
     }
     *size = sizeof(header_t) + board_layout.size;
@@ -175,7 +185,7 @@ const char *board_save(board_t *board, uint8_t *image, size_t room, size_t *size
     uint8_t *rings = copy_without_gaps(board, body, TO_IMAGE);
     make_relative(board, body);
     copy_rings(board, rings, TO_IMAGE);
-    const header_t header = {MAGIC, build_identity(), *size, check_sum(body, *size - sizeof header)};
+    const header_t header = {MAGIC, build_identity(board), *size, check_sum(body, *size - sizeof header)};
     memcpy(image, &header, sizeof header);
     return NULL;
 }
@@ -187,8 +197,8 @@ const char *board_restore(board_t *board, const uint8_t *image, size_t size)
     if (size < sizeof header || header.magic != MAGIC) {
         return "this is not the state of a board";
     }
-    if (header.build != build_identity()) {
-        return "the state is from another build or level of the board; only the build that saved it can continue it";
+    if (header.build != build_identity(board)) {
+        return "the state is from another build or level of the board, or another program; only what saved it can continue it";
     }
     uint8_t *body = (uint8_t *)image + sizeof header; /* only read */
     if (header.size != size || header.check != check_sum(body, size - sizeof header)) {

@@ -146,7 +146,10 @@ def make_ffi(
 
 
 IDEAL = [NATIVE / name for name in ("board_ideal_layout.c", "board_ideal.c", "ideal_chip.c", "uart.c")]
-_REGISTERS = [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c"))]
+_REGISTERS = [
+    *(NATIVE / name for name in ("board_registers.c", "program.c")),
+    *(path for folder in ("arm", "chip") for path in sorted((NATIVE / folder).glob("*.c"))),
+]
 _ON_HOST = ["-DCHIP_ON_HOST"]
 
 

@@ -170,6 +170,14 @@ class Board:
         Contents of the data flash: `flash_image` of another board; erased by default.
     firmware : Firmware, optional
         Another build of firmware, chip and plant; that of `level` by default.
+    elf : bytes, optional
+        ELF file of the firmware (``make firmware-elf``), executed instruction by instruction instead of the linked
+        firmware, at level ``registers``. `core` has no effect then: the instructions take the time.
+
+    Raises
+    ------
+    BoardError
+        If the ELF file is not one of this firmware.
     """
 
     def __init__(
@@ -184,6 +192,7 @@ class Board:
         servo: ServoConfig | None = None,
         flash: bytes | None = None,
         firmware: Firmware | None = None,
+        elf: bytes | None = None,
     ) -> None:
         if not 0 <= seed < 1 << 64:
             raise ValueError(f"seed {seed} is not within 0 .. 2^64 - 1")
@@ -191,6 +200,9 @@ class Board:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
         self.level = chosen_level(level)
         self.firmware = firmware or FIRMWARE[self.level]
+        if elf is not None and self.level != "registers":
+            raise ValueError("an ELF file runs at level registers only")
+        self._elf = elf
         self._ffi, self._lib = self.firmware.ffi, self.firmware.lib
         self.plant = plant or PlantConfig.load()
         self._seed = seed
@@ -203,10 +215,12 @@ class Board:
         if servo is not None:
             native = servo.native(self._ffi)  # kept until board_new has copied it
             config.servo = native[0]
+        if elf is not None:
+            config.elf, config.elf_size = self._ffi.from_buffer("uint8_t[]", elf), len(elf)  # copied, too
         handle = self._lib.board_new(config)
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
-        config.flash = config.servo = self._ffi.NULL
+        config.flash = config.servo = config.elf = self._ffi.NULL
         self._config = config
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._truth = self._ffi.new("board_truth_t *")
@@ -214,6 +228,11 @@ class Board:
         self._dtype: np.dtype[np.void] | None = None
         self._injected: list[InjectedFault] = []
         self._sampler: BoardSampler | None = None
+        problem = self._lib.board_error(handle)
+        if problem != self._ffi.NULL:
+            text = self._ffi.string(problem).decode()
+            self.close()
+            raise BoardError(text)
 
     # ---- lifetime --------------------------------------------------------------------------------------------------
 
@@ -250,13 +269,20 @@ class Board:
         if error != self._ffi.NULL:
             raise ChipError(self._ffi.string(error).decode())
 
+    @property
+    def build(self) -> str:
+        """SHA-256 of the compiled module, and of the ELF file if there is one: such boards give the same bits."""
+        if self._elf is None:
+            return self.firmware.build
+        return f"{self.firmware.build}+elf:{hashlib.sha256(self._elf).hexdigest()}"
+
     # ---- state ------------------------------------------------------------------------------------------------------
 
     def state(self) -> BoardState:
         """Complete state: firmware, chip, plant, random numbers, flash, bytes on the line, injected faults.
 
         At level ``registers`` the board first goes on to the end of the running interrupt handlers (less than a PWM
-        period); `BoardState.time_ns` is that instant.
+        period), unless it executes an ELF file; `BoardState.time_ns` is that instant.
 
         Raises
         ------
@@ -286,7 +312,14 @@ class Board:
     def copy(self) -> Board:
         """Another board in the same state (see `state`); each then continues by itself."""
         state = self.state()
-        board = Board(state.plant, seed=state.seed, catalogue=self.catalogue, level=self.level, firmware=self.firmware)
+        board = Board(
+            state.plant,
+            seed=state.seed,
+            catalogue=self.catalogue,
+            level=self.level,
+            firmware=self.firmware,
+            elf=self._elf,
+        )
         board.restore(state)
         return board
 

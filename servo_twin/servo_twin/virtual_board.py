@@ -30,7 +30,7 @@ from servo_msgs_py.text_file import TextFileError, read_bytes
 from servo_msgs_py.units import TICK_NS
 
 from servo_msgs_py import argument
-from servo_twin.board import FLASH_BYTES, Board, SimulationError
+from servo_twin.board import FLASH_BYTES, Board, BoardError, SimulationError
 from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig
 from servo_twin.robot.command import MODEL_HELP as ROBOT_HELP
@@ -52,6 +52,10 @@ _TERMINALS: Final = "/dev/pts/"  # folder of the pseudo-terminals
 
 FIRST_REPORT_S: Final = 1.0
 """Averaging time before the first slip warning [s]."""
+
+
+ELF_BYTES_MAX: Final = 16_000_000
+"""Largest ELF file, with the information for a debugger."""
 
 
 class LinkError(Exception):
@@ -386,6 +390,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="file for the contents of the data flash (default: lost at the end)",
     )
+    parser.add_argument(
+        "--elf",
+        type=Path,
+        metavar="FILE",
+        help="execute the firmware of this ELF file (make firmware-elf), at level registers",
+    )
     parser.add_argument("--robot", metavar="MODEL", help=ROBOT_HELP)
     add_level_option(parser, "the board is")
     parser.add_argument(
@@ -411,11 +421,13 @@ def main(argv: list[str] | None = None) -> int:
             owned.enter_context(board)
             stop = owned.enter_context(deferred())
             line = owned.enter_context(Terminal(options.link))
-        except (LinkError, SimulationError, ValueError) as error:
+        except (BoardError, LinkError, SimulationError, ValueError) as error:
             return _print_error(str(error), 2)
         update_flash = _flash_updater(board, flash)
         where = f"{options.link} -> {line.device}" if options.link else line.device
         what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
+        if options.elf:
+            what += f", {options.elf} (SHA-256 {board.build.rpartition(':')[2]})"
         print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
         if options.link:
             write_virtual_board(options.link, _facts(board, options, line.device))
@@ -441,6 +453,13 @@ def main(argv: list[str] | None = None) -> int:
 def _simulated(options: argparse.Namespace, flash: bytes | None) -> tuple[_Board, Board, int]:
     """What is simulated, the board that is, or is part of, it, and the length of a step [ns]."""
     settings = {"seed": options.seed, "baud": options.baud, "level": options.level, "flash": flash}
+    if options.elf is not None:
+        try:
+            settings["elf"] = read_bytes(options.elf, ELF_BYTES_MAX)
+        except OSError as error:
+            raise ValueError(f"{options.elf}: {error.strerror}") from None
+        except TextFileError as error:
+            raise ValueError(f"{options.elf}: {error}") from None
     plant = PlantConfig.load(options.plant)
     if options.robot is None:
         board = Board(plant, **settings)
@@ -470,7 +489,7 @@ def _facts(board: Board, options: argparse.Namespace, device: str) -> VirtualBoa
         baud=options.baud,
         plant=board.plant.text(),
         flash=hashlib.sha256(board.flash_image()).hexdigest() if options.flash else "",
-        build=board.firmware.build,
+        build=board.build,
     )
 
 

@@ -22,14 +22,29 @@ void chip_interrupts(struct chip *chip, bool on);
 
 #else
 
+#ifdef __arm__ /* a chip that does not exist: word a of the DSC's data space at PERIPHERALS + 2a */
+#define PERIPHERALS 0x40000000UL
+#define REG_AT(address) (*(volatile uint16_t *)(PERIPHERALS + 2UL * (uint16_t)(address)))
+#else
 #define REG_AT(address) (*(volatile uint16_t *)(uintptr_t)(uint16_t)(address))
+#endif
 #define REG_READ(hal, address) ((void)(hal), REG_AT(address))
 #define REG_WRITE(hal, address, value) ((void)(hal), REG_AT(address) = (uint16_t)(value))
 
 #ifdef __MWERKS__
 #define INTERRUPTS_ON(hal) ((void)(hal), __EI(0)) /* levels 0 to 3 */
+#elif defined(__arm__)
+#define INTERRUPTS_ON(hal) ((void)(hal), interrupts_on())
+static inline void interrupts_on(void) { __asm__ volatile("cpsie i" : : : "memory"); }
 #else
 #define INTERRUPTS_ON(hal) ((void)(hal)) /* another compiler only checks the source */
+#endif
+
+/* Between two runs of the background: only an interrupt gives it something to do. */
+#ifdef __arm__
+#define WAIT_FOR_INTERRUPT() __asm__ volatile("wfi" : : : "memory")
+#else
+#define WAIT_FOR_INTERRUPT() ((void)0)
 #endif
 
 #endif

@@ -4,6 +4,7 @@
 #ifndef CHIP_ON_HOST
 
 #include "config/servo_config.h"
+#include "port/mc56f84789/access.h"
 
 hal_t startup_hal;
 static servo_t servo;
@@ -13,6 +14,7 @@ int main(void)
     if (port_init(&startup_hal, &servo, &servo_config)) {
         for (;;) {
             servo_background(&servo);
+            WAIT_FOR_INTERRUPT();
         }
     }
     for (;;) { /* no clock or no converter: the watchdog resets the board, which tries again */

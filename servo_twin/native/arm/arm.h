@@ -114,6 +114,9 @@ arm_stop_t arm_run(arm_t *arm);
 
 static inline uint32_t arm_elapsed(const arm_t *arm) { return (uint32_t)(arm->state.given - arm->state.left); }
 
+/* The same up to where the present instruction begins; within arm_run. */
+uint32_t arm_begun(const arm_t *arm);
+
 static inline void arm_give(arm_t *arm, int32_t cycles) { arm->state.given = arm->state.left = cycles; }
 
 /* End arm_run after the present instruction. */
@@ -150,7 +153,6 @@ void arm_store_slow(arm_t *arm, uint32_t address, unsigned size, uint32_t value)
 bool arm_scs_read(arm_t *arm, uint32_t address, uint32_t *value);
 bool arm_scs_write(arm_t *arm, uint32_t address, uint32_t value);
 void arm_dsp(arm_t *arm, const arm_op_t *op);
-const arm_op_t *arm_branch(arm_t *arm, uint32_t target); /* NULL: stop */
 void arm_exception_return(arm_t *arm, uint32_t code); /* sets pc */
 
 #endif

@@ -23,6 +23,8 @@ uint32_t arm_address(const arm_t *arm, const arm_op_t *op)
     return arm->region[0].base + 2u * (uint32_t)((at < arm->program_words) ? at : at - arm->program_words);
 }
 
+uint32_t arm_begun(const arm_t *arm) { return arm_elapsed(arm) - arm->op->cycles; }
+
 /* The instruction at an address as its half words, for messages. */
 static void instruction_text(const arm_t *arm, uint32_t address, char *text, size_t size)
 {
@@ -118,11 +120,17 @@ NOINLINE void arm_store_slow(arm_t *arm, uint32_t address, unsigned size, uint32
     }
 }
 
-/* Region 1 is the RAM: most accesses. */
+/* The RAM, region 1, is where most accesses go. Its last three bytes take the way of all others, so that one comparison is enough. */
+#define RAM_PLACE(address) (((address) - ram_base <= ram_last) ? ram + ((address) - ram_base) : NULL)
+#define RAM_OF(arm)                                                                                                    \
+    uint8_t *const ram = (arm)->region[1].bytes;                                                                       \
+    const uint32_t ram_base = (arm)->region[1].base, ram_last = (arm)->region[1].size - 4u
+
 static inline uint32_t load(arm_t *arm, uint32_t address, unsigned size)
 {
+    RAM_OF(arm);
+    const uint8_t *memory = RAM_PLACE(address);
     uint32_t value = 0;
-    const uint8_t *memory = place(arm, address, size, 1u);
     if (memory != NULL) {
         memcpy(&value, memory, size);
         return value;
@@ -132,7 +140,8 @@ static inline uint32_t load(arm_t *arm, uint32_t address, unsigned size)
 
 static inline void store(arm_t *arm, uint32_t address, unsigned size, uint32_t value)
 {
-    uint8_t *memory = place(arm, address, size, 1u);
+    RAM_OF(arm);
+    uint8_t *memory = RAM_PLACE(address);
     if (memory != NULL) {
         memcpy(memory, &value, size);
     } else {
@@ -236,23 +245,30 @@ static inline uint32_t turned(uint32_t value, unsigned amount)
 
 /* ---- rare ones ------------------------------------------------------------------------------------------------------ */
 
-static uint32_t leading_zeros(uint32_t value)
+static inline uint32_t leading_zeros(uint32_t value)
 {
+#if defined(__GNUC__)
+    return (value != 0u) ? (uint32_t)__builtin_clz(value) : 32u;
+#else
     uint32_t zeros = 0;
     for (uint32_t bit = 0x80000000u; bit != 0u && (value & bit) == 0u; bit >>= 1) {
         zeros++;
     }
     return zeros;
+#endif
 }
+
+/* Number of the lowest bit that is set; the word is not 0. */
+static inline uint32_t lowest_bit(uint32_t word) { return 31u - leading_zeros(word & (0u - word)); }
 
 static uint32_t magnitude(uint32_t value) { return ((value >> 31) != 0u) ? 0u - value : value; }
 
-/* The quotient, 0 for a divisor of 0, and its cycles. */
-NOINLINE static uint32_t divide(arm_state_t *s, uint32_t n, uint32_t m, bool is_signed)
+/* The quotient, 0 for a divisor of 0; its cycles are taken from `left`. */
+static inline uint32_t divide(int32_t *left, uint32_t n, uint32_t m, bool is_signed)
 {
     const uint32_t a = is_signed ? magnitude(n) : n, b = is_signed ? magnitude(m) : m;
     const int32_t bits = (int32_t)leading_zeros(b) - (int32_t)leading_zeros(a) + 1;
-    s->left -= (int32_t)cycles_divide((b == 0u || bits < 0) ? 0u : (uint32_t)bits);
+    *left -= (int32_t)cycles_divide((b == 0u || bits < 0) ? 0u : (uint32_t)bits);
     const uint32_t quotient = (b == 0u) ? 0u : a / b;
     return (is_signed && ((n ^ m) >> 31) != 0u) ? 0u - quotient : quotient;
 }
@@ -345,25 +361,24 @@ NOINLINE static uint32_t load_multiple(arm_t *arm, const arm_op_t *op)
 {
     arm_state_t *s = &arm->state;
     const uint32_t base = s->r[op->n] - (op->y != 0u ? 4u * op->z : 0u);
-    uint32_t value[16] = {0}, at = base;
+    uint32_t value[16], at = base;
+    value[15] = 0;
     if ((base & 3u) != 0u) {
         arm_fail(arm, "unaligned read of several words at %08lXh", (unsigned long)base);
         return 0;
     }
-    for (unsigned k = 0; k < 16u; k++) {
-        if ((op->imm >> k & 1u) != 0u) {
-            value[k] = load(arm, at, 4u);
-            at += 4u;
-            if (arm->failed) {
-                return 0;
-            }
+    for (uint32_t rest = op->imm; rest != 0u; rest &= rest - 1u) {
+        value[lowest_bit(rest)] = load(arm, at, 4u);
+        at += 4u;
+        if (arm->failed) {
+            return 0;
         }
     }
     if (op->x != 0u) {
         s->r[op->n] = (op->y != 0u) ? base : at;
     }
-    for (unsigned k = 0; k < 15u; k++) {
-        s->r[k] = ((op->imm >> k & 1u) != 0u) ? value[k] : s->r[k];
+    for (uint32_t rest = op->imm & 0x7FFFu; rest != 0u; rest &= rest - 1u) {
+        s->r[lowest_bit(rest)] = value[lowest_bit(rest)];
     }
     return value[15];
 }
@@ -377,11 +392,9 @@ NOINLINE static void store_multiple(arm_t *arm, const arm_op_t *op)
         arm_fail(arm, "unaligned write of several words at %08lXh", (unsigned long)base);
         return;
     }
-    for (unsigned k = 0; k < 15u && !arm->failed; k++) {
-        if ((op->imm >> k & 1u) != 0u) {
-            store(arm, at, 4u, s->r[k]);
-            at += 4u;
-        }
+    for (uint32_t rest = op->imm; rest != 0u && !arm->failed; rest &= rest - 1u) {
+        store(arm, at, 4u, s->r[lowest_bit(rest)]);
+        at += 4u;
     }
     if (op->x != 0u && !arm->failed) {
         s->r[op->n] = (op->y != 0u) ? base : at;
@@ -433,12 +446,9 @@ static const arm_op_t *operation_at(arm_t *arm)
     return (op->kind == OP_DECODE && arm->state.it != 0u) ? arm_decode(arm, arm->state.pc, arm->state.it) : op;
 }
 
-NOINLINE const arm_op_t *arm_branch(arm_t *arm, uint32_t target)
+/* A branch to where no program is. NULL: the run ends. */
+NOINLINE static const arm_op_t *leave_program(arm_t *arm, uint32_t target)
 {
-    const uint32_t at = (target & ~1u) - arm->region[0].base;
-    if (at < arm->region[0].size && (target & 1u) != 0u) {
-        return &arm->ops[at / 2u];
-    }
     if (arm->state.exception != 0u && target >= 0xFFFFFFE0u) {
         arm_exception_return(arm, target);
         look_at_interrupts(arm);
@@ -453,24 +463,24 @@ NOINLINE const arm_op_t *arm_branch(arm_t *arm, uint32_t target)
 
 /* ---- the loop ------------------------------------------------------------------------------------------------------- */
 
-#define R(name) s->r[op->name]
+#define R(name) s->r[in->name]
 #define NEXT                                                                                                           \
     op += op->length;                                                                                                  \
     break
 
 /* Second operands, and their carry (x of an immediate is 2 if the carry stays). */
-#define VALUE_IMM (op->imm)
+#define VALUE_IMM (in->imm)
 #define VALUE_REG (R(m))
-#define VALUE_LSL (R(m) << op->x)
-#define VALUE_LSR ((uint32_t)((uint64_t)R(m) >> op->x))
-#define VALUE_ASR ((uint32_t)((int64_t)(int32_t)R(m) >> op->x))
-#define VALUE_ROX ((op->x == 0u) ? s->carry << 31 | R(m) >> 1 : R(m) >> op->x | R(m) << (32u - op->x))
-#define CARRY_IMM ((op->x == 2u) ? s->carry : op->x)
+#define VALUE_LSL (R(m) << in->x)
+#define VALUE_LSR ((uint32_t)((uint64_t)R(m) >> in->x))
+#define VALUE_ASR ((uint32_t)((int64_t)(int32_t)R(m) >> in->x))
+#define VALUE_ROX ((in->x == 0u) ? s->carry << 31 | R(m) >> 1 : R(m) >> in->x | R(m) << (32u - in->x))
+#define CARRY_IMM ((in->x == 2u) ? s->carry : in->x)
 #define CARRY_REG (s->carry)
-#define CARRY_LSL (R(m) >> (32u - op->x) & 1u)
-#define CARRY_LSR ((uint32_t)((uint64_t)R(m) >> (op->x - 1u)) & 1u)
-#define CARRY_ASR ((uint32_t)((int64_t)(int32_t)R(m) >> (op->x - 1u)) & 1u)
-#define CARRY_ROX ((op->x == 0u) ? R(m) & 1u : R(m) >> (op->x - 1u) & 1u)
+#define CARRY_LSL (R(m) >> (32u - in->x) & 1u)
+#define CARRY_LSR ((uint32_t)((uint64_t)R(m) >> (in->x - 1u)) & 1u)
+#define CARRY_ASR ((uint32_t)((int64_t)(int32_t)R(m) >> (in->x - 1u)) & 1u)
+#define CARRY_ROX ((in->x == 0u) ? R(m) & 1u : R(m) >> (in->x - 1u) & 1u)
 
 #define LOGICAL(name, form, expression)                                                                                \
     case OP_##name##_##form: {                                                                                         \
@@ -510,39 +520,83 @@ NOINLINE const arm_op_t *arm_branch(arm_t *arm, uint32_t target)
 
 #define TRANSFER(name, DO)                                                                                             \
     case OP_##name##_IMM: {                                                                                            \
-        const uint32_t address = R(n) + op->imm;                                                                       \
+        const uint32_t address = R(n) + in->imm;                                                                       \
         DO;                                                                                                            \
-        NEXT_TRANSFER;                                                                                                 \
+        NEXT;                                                                                                          \
     }                                                                                                                  \
     case OP_##name##_REG: {                                                                                            \
-        const uint32_t address = R(n) + (R(m) << op->y);                                                               \
+        const uint32_t address = R(n) + (R(m) << in->y);                                                               \
         DO;                                                                                                            \
-        NEXT_TRANSFER;                                                                                                 \
+        NEXT;                                                                                                          \
     }                                                                                                                  \
     case OP_##name##_PRE: {                                                                                            \
-        const uint32_t address = R(n) + op->imm;                                                                       \
+        const uint32_t address = R(n) + in->imm;                                                                       \
         DO;                                                                                                            \
         R(n) = address;                                                                                                \
-        NEXT_TRANSFER;                                                                                                 \
+        NEXT;                                                                                                          \
     }                                                                                                                  \
     case OP_##name##_POST: {                                                                                           \
         const uint32_t address = R(n);                                                                                 \
         DO;                                                                                                            \
-        R(n) = address + op->imm;                                                                                      \
-        NEXT_TRANSFER;                                                                                                 \
+        R(n) = address + in->imm;                                                                                      \
+        NEXT;                                                                                                          \
     }
 
-#define NEXT_TRANSFER                                                                                                  \
+/* What may fail, end the run or take cycles of its own sees the state of the loop. */
+#define LEAVE_LOOP                                                                                                     \
+    arm->op = in;                                                                                                      \
+    s->left = left
+#define BACK_IN_LOOP                                                                                                   \
+    left = s->left;                                                                                                    \
     if (arm->failed) {                                                                                                 \
         goto failed;                                                                                                   \
+    }
+#define RARE(operation)                                                                                                \
+    LEAVE_LOOP;                                                                                                        \
+    operation;                                                                                                         \
+    BACK_IN_LOOP
+
+/* `value` of `size` bytes at `address`. */
+#define LOAD(size)                                                                                                     \
+    uint32_t value = 0;                                                                                                \
+    const uint8_t *memory = RAM_PLACE(address);                                                                        \
+    if (memory != NULL) {                                                                                              \
+        memcpy(&value, memory, size);                                                                                  \
+    } else {                                                                                                           \
+        RARE(value = arm_load_slow(arm, address, size));                                                               \
+    }
+#define STORE(size, what)                                                                                              \
+    const uint32_t value = (what);                                                                                     \
+    uint8_t *memory = RAM_PLACE(address);                                                                              \
+    if (memory != NULL) {                                                                                              \
+        memcpy(memory, &value, size);                                                                                  \
+    } else {                                                                                                           \
+        RARE(arm_store_slow(arm, address, size, value));                                                               \
+    }
+
+/* To an address of the program; or the return from an exception, or the end of a call. */
+#define BRANCH(address)                                                                                                \
+    const uint32_t to = (address), place_of = (to & ~1u) - program_base;                                               \
+    if (place_of < program_size && (to & 1u) != 0u) {                                                                  \
+        op = &ops[place_of / 2u];                                                                                      \
+        break;                                                                                                         \
     }                                                                                                                  \
-    NEXT
+    const arm_op_t *const before = op;                                                                                 \
+    LEAVE_LOOP;                                                                                                        \
+    op = leave_program(arm, to);                                                                                       \
+    left = s->left;                                                                                                    \
+    if (op == NULL) {                                                                                                  \
+        op = before;                                                                                                   \
+        stop = arm->failed ? ARM_FAILED : ARM_RETURNED;                                                                \
+        goto leave;                                                                                                    \
+    }                                                                                                                  \
+    break
 
 #define BRANCH_IF(name, condition)                                                                                     \
     case OP_B##name:                                                                                                   \
         if (condition) {                                                                                               \
-            s->left -= (int32_t)CYCLES_RELOAD;                                                                         \
-            op += (int32_t)op->imm;                                                                                    \
+            left -= (int32_t)CYCLES_RELOAD;                                                                            \
+            op += (int32_t)in->imm;                                                                                    \
             break;                                                                                                     \
         }                                                                                                              \
         NEXT;
@@ -559,15 +613,20 @@ arm_stop_t arm_run(arm_t *arm)
     const arm_op_t *op = operation_at(arm);
     arm_stop_t stop = ARM_TIME;
     uint64_t instructions = 0;
+    int32_t left = s->left;
+    const uint32_t program_base = arm->region[0].base, program_size = arm->region[0].size;
+    const uint32_t program_words = arm->program_words;
+    const arm_op_t *const ops = arm->ops;
+    RAM_OF(arm);
     if (arm->failed) {
         return ARM_FAILED;
     }
-    while (s->left > 0) {
-        arm->op = op;
+    while (left > 0) {
+        const arm_op_t *in = op; /* or, of a conditional one, in the second half of the table */
         instructions++;
-        s->left -= (int32_t)op->cycles;
+        left -= (int32_t)in->cycles;
     again:
-        switch ((operation_t)op->kind) {
+        switch ((operation_t)in->kind) {
         case OP_DECODE:
             instructions--;
             (void)arm_decode(arm, arm_address(arm, op), 0u);
@@ -584,27 +643,27 @@ arm_stop_t arm_run(arm_t *arm)
             EVERY_FORM(ARITHMETIC, SBC, a, ~b, s->carry)
             EVERY_FORM(ARITHMETIC, SUB, a, ~b, 1u)
             EVERY_FORM(ARITHMETIC, RSB, ~a, b, 1u)
-            TRANSFER(LDR, R(d) = load(arm, address, 4u))
-            TRANSFER(LDRB, R(d) = load(arm, address, 1u))
-            TRANSFER(LDRH, R(d) = load(arm, address, 2u))
-            TRANSFER(LDRSB, R(d) = sign_byte(load(arm, address, 1u)))
-            TRANSFER(LDRSH, R(d) = sign_half(load(arm, address, 2u)))
-            TRANSFER(STR, store(arm, address, 4u, R(d)))
-            TRANSFER(STRB, store(arm, address, 1u, R(d) & 0xFFu))
-            TRANSFER(STRH, store(arm, address, 2u, R(d) & 0xFFFFu))
+            TRANSFER(LDR, LOAD(4u) R(d) = value)
+            TRANSFER(LDRB, LOAD(1u) R(d) = value)
+            TRANSFER(LDRH, LOAD(2u) R(d) = value)
+            TRANSFER(LDRSB, LOAD(1u) R(d) = sign_byte(value))
+            TRANSFER(LDRSH, LOAD(2u) R(d) = sign_half(value))
+            TRANSFER(STR, STORE(4u, R(d)))
+            TRANSFER(STRB, STORE(1u, R(d) & 0xFFu))
+            TRANSFER(STRH, STORE(2u, R(d) & 0xFFFFu))
         case OP_SHIFT: {
             uint32_t carry = 0;
-            R(d) = shift(R(n), op->x, R(m), &carry);
+            R(d) = shift(R(n), in->x, R(m), &carry);
             NEXT;
         }
         case OP_SHIFTS: {
-            const uint32_t result = shift(R(n), op->x, R(m), &s->carry);
+            const uint32_t result = shift(R(n), in->x, R(m), &s->carry);
             set_nz(s, result);
             R(d) = result;
             NEXT;
         }
         case OP_MOVT:
-            R(d) = (R(d) & 0xFFFFu) | op->imm;
+            R(d) = (R(d) & 0xFFFFu) | in->imm;
             NEXT;
         case OP_MUL:
             R(d) = R(n) * R(m);
@@ -646,112 +705,103 @@ arm_stop_t arm_run(arm_t *arm)
             NEXT;
         }
         case OP_SDIV:
-            R(d) = divide(s, R(n), R(m), true);
+            R(d) = divide(&left, R(n), R(m), true);
             NEXT;
         case OP_UDIV:
-            R(d) = divide(s, R(n), R(m), false);
+            R(d) = divide(&left, R(n), R(m), false);
             NEXT;
         case OP_SMULXY:
-            R(d) = (uint32_t)product_halves(R(n) >> op->x, R(m) >> op->y);
+            R(d) = (uint32_t)product_halves(R(n) >> in->x, R(m) >> in->y);
             NEXT;
         case OP_SMLAXY: {
-            const int64_t sum = (int64_t)product_halves(R(n) >> op->x, R(m) >> op->y) + (int32_t)R(a);
+            const int64_t sum = (int64_t)product_halves(R(n) >> in->x, R(m) >> in->y) + (int32_t)R(a);
             s->saturated |= (sum != (int32_t)sum) ? 1u : 0u;
             R(d) = (uint32_t)sum;
             NEXT;
         }
         case OP_SSAT: {
-            const int32_t value = (op->y != 0u) ? (int32_t)R(n) >> op->x : (int32_t)(R(n) << op->x);
-            const int64_t limit = INT64_C(1) << (op->z - 1u);
+            const int32_t value = (in->y != 0u) ? (int32_t)R(n) >> in->x : (int32_t)(R(n) << in->x);
+            const int64_t limit = INT64_C(1) << (in->z - 1u);
             R(d) = saturate(s, value, -limit, limit - 1);
             NEXT;
         }
         case OP_USAT: {
-            const int32_t value = (op->y != 0u) ? (int32_t)R(n) >> op->x : (int32_t)(R(n) << op->x);
-            R(d) = saturate(s, value, 0, (INT64_C(1) << op->z) - 1);
+            const int32_t value = (in->y != 0u) ? (int32_t)R(n) >> in->x : (int32_t)(R(n) << in->x);
+            R(d) = saturate(s, value, 0, (INT64_C(1) << in->z) - 1);
             NEXT;
         }
         case OP_SBFX:
-            R(d) = (uint32_t)((int32_t)(R(n) << (32u - op->z - op->x)) >> (32u - op->z));
+            R(d) = (uint32_t)((int32_t)(R(n) << (32u - in->z - in->x)) >> (32u - in->z));
             NEXT;
         case OP_UBFX:
-            R(d) = (R(n) << (32u - op->z - op->x)) >> (32u - op->z);
+            R(d) = (R(n) << (32u - in->z - in->x)) >> (32u - in->z);
             NEXT;
         case OP_BFI:
-            R(d) = (R(d) & ~op->imm) | ((op->z != 0u) ? R(n) << op->x & op->imm : 0u);
+            R(d) = (R(d) & ~in->imm) | ((in->z != 0u) ? R(n) << in->x & in->imm : 0u);
             NEXT;
         case OP_SXTB:
-            R(d) = sign_byte(turned(R(m), op->x));
+            R(d) = sign_byte(turned(R(m), in->x));
             NEXT;
         case OP_SXTH:
-            R(d) = sign_half(turned(R(m), op->x));
+            R(d) = sign_half(turned(R(m), in->x));
             NEXT;
         case OP_UXTB:
-            R(d) = turned(R(m), op->x) & 0xFFu;
+            R(d) = turned(R(m), in->x) & 0xFFu;
             NEXT;
         case OP_UXTH:
-            R(d) = turned(R(m), op->x) & 0xFFFFu;
+            R(d) = turned(R(m), in->x) & 0xFFFFu;
             NEXT;
         case OP_SXTAB:
-            R(d) = R(n) + sign_byte(turned(R(m), op->x));
+            R(d) = R(n) + sign_byte(turned(R(m), in->x));
             NEXT;
         case OP_SXTAH:
-            R(d) = R(n) + sign_half(turned(R(m), op->x));
+            R(d) = R(n) + sign_half(turned(R(m), in->x));
             NEXT;
         case OP_UXTAB:
-            R(d) = R(n) + (turned(R(m), op->x) & 0xFFu);
+            R(d) = R(n) + (turned(R(m), in->x) & 0xFFu);
             NEXT;
         case OP_UXTAH:
-            R(d) = R(n) + (turned(R(m), op->x) & 0xFFFFu);
+            R(d) = R(n) + (turned(R(m), in->x) & 0xFFFFu);
             NEXT;
         case OP_CLZ:
             R(d) = leading_zeros(R(m));
             NEXT;
         case OP_DSP:
-            arm_dsp(arm, op);
+            arm_dsp(arm, in);
             NEXT;
         case OP_LDRD:
-            transfer_double(arm, op, true);
-            NEXT_TRANSFER;
+            RARE(transfer_double(arm, in, true));
+            NEXT;
         case OP_STRD:
-            transfer_double(arm, op, false);
-            NEXT_TRANSFER;
+            RARE(transfer_double(arm, in, false));
+            NEXT;
         case OP_LDM: {
-            const uint32_t target = load_multiple(arm, op);
-            if (arm->failed) {
-                goto failed;
-            }
-            if (op->imm >> 15 != 0u) {
-                op = arm_branch(arm, target);
-                goto branched;
+            uint32_t target;
+            RARE(target = load_multiple(arm, in));
+            if (in->imm >> 15 != 0u) {
+                BRANCH(target);
             }
             NEXT;
         }
         case OP_STM:
-            store_multiple(arm, op);
-            NEXT_TRANSFER;
+            RARE(store_multiple(arm, in));
+            NEXT;
         case OP_LDR_PC: {
-            const uint32_t target = load_counter(arm, op);
-            if (arm->failed) {
-                goto failed;
-            }
-            op = arm_branch(arm, target);
-            goto branched;
+            uint32_t target;
+            RARE(target = load_counter(arm, in));
+            BRANCH(target);
         }
         case OP_TBB:
         case OP_TBH: {
-            const bool halves = op->kind == OP_TBH;
-            const uint32_t base = (op->n == 15u) ? op->imm : R(n);
-            const uint32_t offset = halves ? load(arm, base + (R(m) << 1), 2u) : load(arm, base + R(m), 1u);
-            if (arm->failed) {
-                goto failed;
-            }
-            op = arm_branch(arm, (op->imm + 2u * offset) | 1u);
-            goto branched;
+            const bool halves = in->kind == OP_TBH;
+            const uint32_t base = (in->n == 15u) ? in->imm : R(n);
+            uint32_t offset;
+            RARE(offset = halves ? load(arm, base + (R(m) << 1), 2u) : load(arm, base + R(m), 1u));
+            BRANCH((in->imm + 2u * offset) | 1u);
         }
         case OP_B:
-            s->left -= (int32_t)CYCLES_RELOAD;
-            op += (int32_t)op->imm;
+            left -= (int32_t)CYCLES_RELOAD;
+            op += (int32_t)in->imm;
             break;
             BRANCH_IF(EQ, FLAG_Z)
             BRANCH_IF(NE, !FLAG_Z)
@@ -768,37 +818,36 @@ arm_stop_t arm_run(arm_t *arm)
             BRANCH_IF(GT, SAME_NV && !FLAG_Z)
             BRANCH_IF(LE, !SAME_NV || FLAG_Z)
         case OP_BL:
-            s->left -= (int32_t)CYCLES_RELOAD;
+            left -= (int32_t)CYCLES_RELOAD;
             s->r[ARM_LR] = (arm_address(arm, op) + 4u) | 1u;
-            op += (int32_t)op->imm;
+            op += (int32_t)in->imm;
             break;
-        case OP_BX:
-            op = arm_branch(arm, R(m) | op->x);
-            goto branched;
+        case OP_BX: {
+            BRANCH(R(m) | in->x);
+        }
         case OP_BLX: {
             const uint32_t target = R(m);
             s->r[ARM_LR] = (arm_address(arm, op) + 2u) | 1u;
-            op = arm_branch(arm, target);
-            goto branched;
+            BRANCH(target);
         }
         case OP_CBZ:
             if (R(n) == 0u) {
-                s->left -= (int32_t)CYCLES_RELOAD;
-                op += (int32_t)op->imm;
+                left -= (int32_t)CYCLES_RELOAD;
+                op += (int32_t)in->imm;
                 break;
             }
             NEXT;
         case OP_CBNZ:
             if (R(n) != 0u) {
-                s->left -= (int32_t)CYCLES_RELOAD;
-                op += (int32_t)op->imm;
+                left -= (int32_t)CYCLES_RELOAD;
+                op += (int32_t)in->imm;
                 break;
             }
             NEXT;
         case OP_CONDITIONAL:
-            if (arm_condition(s, op->x)) {
-                op += arm->program_words;
-                s->left -= (int32_t)op->cycles - 1;
+            if (arm_condition(s, in->x)) {
+                in += program_words;
+                left -= (int32_t)in->cycles - 1;
                 goto again;
             }
             NEXT;
@@ -811,43 +860,32 @@ arm_stop_t arm_run(arm_t *arm)
             stop = ARM_SLEEPING;
             goto leave;
         case OP_CPS:
-            change_state(arm, op);
-            NEXT_TRANSFER;
+            RARE(change_state(arm, in));
+            NEXT;
         case OP_MRS:
-            move_from_special(arm, op);
-            NEXT_TRANSFER;
+            RARE(move_from_special(arm, in));
+            NEXT;
         case OP_MSR:
-            move_to_special(arm, op);
-            NEXT_TRANSFER;
+            RARE(move_to_special(arm, in));
+            NEXT;
         case OP_BKPT:
-            if (!arm->owner->breakpoint(arm->self, op->imm)) {
-                arm_fail(arm, "breakpoint %lu", (unsigned long)op->imm);
-            }
-            NEXT_TRANSFER;
+            RARE(if (!arm->owner->breakpoint(arm->self, in->imm)) {
+                arm_fail(arm, "breakpoint %lu", (unsigned long)in->imm);
+            });
+            NEXT;
         case OP_UNDEFINED:
-            arm_fail(arm, "undefined instruction, or one that is not modelled");
-            goto failed;
-        }
-        /* A conditional instruction has its operation in the second half of the table. */
-        if (op >= arm->ops + arm->program_words) {
-            op -= arm->program_words;
-        }
-        continue;
-    branched:
-        if (op == NULL) {
-            stop = arm->failed ? ARM_FAILED : ARM_RETURNED;
-            op = arm->op;
+            RARE(arm_fail(arm, "undefined instruction, or one that is not modelled"));
             break;
         }
     }
 leave:
+    s->left = left;
     s->instructions += instructions;
     s->pc = arm_address(arm, op);
     s->it = op->it;
     arm->op = NULL;
     return stop;
 failed:
-    op = arm->op;
     stop = ARM_FAILED;
     goto leave;
 }

@@ -46,6 +46,8 @@ static inline bool step(core_t *core, uint64_t until)
     return true;
 }
 
+bool core_step(core_t *core, uint64_t until) { return step(core, until); }
+
 static void enter(core_t *core)
 {
     running = core;

@@ -50,6 +50,10 @@ void core_reset(core_t *core);
 /* All events and software up to and including `until`, unless an error or `stop` ends it; booting may take longer. */
 void core_run(core_t *core, uint64_t until);
 
+/* Handle the next event up to `until`; without one, go to that clock and return false. Then `next` is the clock of the next
+ * event. For software that is executed by itself (program.h). */
+bool core_step(core_t *core, uint64_t until);
+
 /* Let the time pass that the software has been charged with up to here. */
 void core_settle(core_t *core);
 

@@ -68,7 +68,7 @@ class SimulatedRun(SampledBoard):
         self.jump_ns = 0
         """Added to the clock of the recording [ns]."""
         if info:
-            virtual = VirtualBoard(level=board.level, seed=seed, plant=board.plant.text(), build=board.firmware.build)
+            virtual = VirtualBoard(level=board.level, seed=seed, plant=board.plant.text(), build=board.build)
             document = RunInfo(catalogue=f"{board.catalogue.hash:08X}", tick_ns=PERIOD_NS, virtual_board=virtual)
             self._write(topics.RUN_INFO, String(data=document.text()), latched=True)
         present = {v.name: board.read_words(v.name) for v in parameters(board.catalogue)}

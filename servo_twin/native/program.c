@@ -1,0 +1,373 @@
+#include "program.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "arm/elf.h"
+#include "comm/status.h"
+
+#define FLASH_BASE 0u
+#define FLASH_ROOM 0x40000u
+#define RAM_BASE 0x20000000u
+#define DATA_BASE 0x60000000u /* of a call: bytes of the host */
+#define PERIPHERALS 0x40000000u
+#define PERIPHERALS_SIZE 0x20000u /* 64 k words */
+
+enum { REGION_FLASH, REGION_RAM, REGION_DATA, REGIONS };
+enum { LAYOUT_SNAPSHOT, LAYOUT_SNAPSHOT_SIZE, LAYOUT_WINDING, LAYOUT_WORDS = LAYOUT_WINDING + 2 };
+
+/* ---- time ----------------------------------------------------------------------------------------------------------- */
+
+static program_t *program_of(void *self) { return (program_t *)self; }
+
+/* Pass the present levels of the requests on. */
+static void update_requests(program_t *program)
+{
+    bus_t *bus = &program->chip->core.bus;
+    if (bus->changed) {
+        bus->changed = false;
+        arm_request(&program->arm, 0u, bus->request[0]);
+        arm_request(&program->arm, 64u, bus->request[1]);
+    }
+}
+
+/* Handle what happens up to a clock, and pass the time up to there. */
+static void handle_events(program_t *program, uint64_t until)
+{
+    core_t *core = &program->chip->core;
+    bus_t *bus = &core->bus;
+    if (until >= program->next || bus->changed) {
+        while (core_step(core, until)) {
+        }
+        program->next = core->next;
+        update_requests(program);
+    } else if (until > bus->now) {
+        bus->now = until;
+        bus->polls = 0;
+    }
+}
+
+/* The next event may have come nearer. */
+static void look_for_events(program_t *program)
+{
+    const bus_t *bus = &program->chip->core.bus;
+    program->next = events_earlier(EVENT_CLOCK(events_next(&bus->events)), bus->environment->next_event(bus->board));
+}
+
+/* Cycles up to a clock, at least one: an instruction begins before it. */
+static int32_t cycles_until(uint64_t from, uint64_t clock)
+{
+    const uint64_t cycles = (clock > from) ? clock - from : 1u;
+    return (cycles < INT32_MAX) ? (int32_t)cycles : INT32_MAX;
+}
+
+/* Time that instructions have taken, from their cycles. */
+static uint64_t taken(const program_t *program, uint32_t cycles) { return program->timeless ? 0u : cycles; }
+
+/* Before an access: what happens up to the clock at which its instruction begins. */
+static void before_access(program_t *program)
+{
+    if (program->calling) {
+        return;
+    }
+    if (program->timeless && program->arm.state.primask != 0u) { /* the boot, as that of the linked firmware */
+        program->clock += program->chip->core.bus.access_clocks;
+    }
+    handle_events(program, program->clock + taken(program, arm_begun(&program->arm)));
+}
+
+/* Behind it: the next event may be nearer, and an interrupt may be due. */
+static void after_access(program_t *program)
+{
+    arm_state_t *state = &program->arm.state;
+    if (program->calling) {
+        return;
+    }
+    update_requests(program);
+    if (state->changed != 0u) {
+        arm_end_run(&program->arm);
+        return;
+    }
+    const int32_t spent = (int32_t)taken(program, arm_elapsed(&program->arm));
+    look_for_events(program);
+    state->given = cycles_until(program->clock, events_earlier(program->next, program->chip->core.limit + 1u));
+    state->left = state->given - spent;
+}
+
+/* ---- the owner of the core ------------------------------------------------------------------------------------------ */
+
+static bool is_register(uint32_t address, unsigned size)
+{
+    return address - PERIPHERALS < PERIPHERALS_SIZE && size == sizeof(uint16_t);
+}
+
+static bool read_register(void *self, uint32_t address, unsigned size, uint32_t *value)
+{
+    program_t *program = program_of(self);
+    if (!is_register(address, size)) {
+        return false;
+    }
+    before_access(program);
+    *value = chip_read(program->chip, (address - PERIPHERALS) / 2u);
+    after_access(program);
+    return true;
+}
+
+static bool write_register(void *self, uint32_t address, unsigned size, uint32_t value)
+{
+    program_t *program = program_of(self);
+    if (!is_register(address, size)) {
+        return false;
+    }
+    before_access(program);
+    chip_write(program->chip, (address - PERIPHERALS) / 2u, (uint16_t)value);
+    after_access(program);
+    return true;
+}
+
+static bool no_breakpoint(void *self, unsigned comment)
+{
+    (void)self;
+    (void)comment;
+    return false;
+}
+
+static void reset_by_software(void *self) { arm_fail(&program_of(self)->arm, "a reset by AIRCR is not modelled"); }
+
+static void handler_begins(void *self, unsigned interrupt)
+{
+    program_t *program = program_of(self);
+    bus_t *bus = &program->chip->core.bus;
+    bus_note(bus, TRACE_ENTER, interrupt, program->arm.state.nvic.priority[interrupt]);
+    program->hooks->begins(bus->board);
+}
+
+static void handler_ends(void *self, unsigned interrupt)
+{
+    program_t *program = program_of(self);
+    bus_t *bus = &program->chip->core.bus;
+    bus_note(bus, TRACE_LEAVE, interrupt, 0);
+    program->clock += program->hooks->ends(bus->board, interrupt);
+}
+
+static const arm_owner_t owner = {
+    .read = read_register,
+    .write = write_register,
+    .breakpoint = no_breakpoint,
+    .reset = reset_by_software,
+    .entered = handler_begins,
+    .returned = handler_ends,
+};
+
+/* ---- run ------------------------------------------------------------------------------------------------------------ */
+
+static void power_up(program_t *program)
+{
+    core_t *core = &program->chip->core;
+    core->must_boot = false;
+    program->clock = core->bus.now;
+    arm_reset(&program->arm);
+}
+
+/* One step of what the core does at its clock. */
+static void run_core(program_t *program)
+{
+    arm_t *arm = &program->arm;
+    core_t *core = &program->chip->core;
+    arm_give(arm, 0);
+    if (arm->state.changed != 0u) {
+        arm_take_interrupt(arm);
+        program->next = 0; /* a handler may have moved the plant */
+    } else if (arm->state.sleeping != 0u) {
+        (void)core_step(core, core->limit);
+        program->next = 0;
+        program->clock = (program->clock > core->bus.now) ? program->clock : core->bus.now;
+    } else {
+        arm_give(arm, cycles_until(program->clock, events_earlier(program->next, core->limit + 1u)));
+        (void)arm_run(arm);
+    }
+    program->clock += taken(program, arm_elapsed(arm));
+    arm_give(arm, 0);
+    if (arm->failed) {
+        bus_fail(&core->bus, "%s", arm->error);
+    }
+}
+
+void program_run(program_t *program, uint64_t until)
+{
+    core_t *core = &program->chip->core;
+    core->limit = until;
+    program->next = 0;
+    if (core->bus.failed || setjmp(core->bus.escape) == ESCAPE_FAILURE) {
+        return;
+    }
+    for (;;) {
+        if (core->must_boot) {
+            power_up(program);
+        }
+        handle_events(program, (program->clock < until) ? program->clock : until);
+        if (core->stop || program->clock > until ||
+            (program->arm.state.sleeping != 0u && core->bus.now >= until && program->arm.state.changed == 0u)) {
+            break;
+        }
+        run_core(program);
+    }
+    qtmr_catch_up(&program->chip->qtmr);
+}
+
+/* ---- calls ---------------------------------------------------------------------------------------------------------- */
+
+/* Result of a function of the program with the arguments (servo, address, data, size); no time passes. */
+static uint8_t call(program_t *program, uint32_t function, uint32_t address, uint8_t *data, uint16_t size)
+{
+    arm_t *arm = &program->arm;
+    bus_t *bus = &program->chip->core.bus;
+    arm_state_t *state = &arm->state;
+    const arm_state_t before = *state;
+    jmp_buf within;
+    volatile uint8_t result = FM_BUSY;
+    memcpy(&within, &bus->escape, sizeof within);
+    arm->region[REGION_DATA] = (arm_region_t){DATA_BASE, size, data, true};
+    program->calling = true;
+    if (!bus->failed && setjmp(bus->escape) == 0) {
+        bus->polls = 0;
+        arm_call_begin(arm, function);
+        state->r[0] = program->servo;
+        state->r[1] = address;
+        state->r[2] = DATA_BASE;
+        state->r[3] = size;
+        arm_give(arm, INT32_MAX);
+        if (arm_run(arm) != ARM_RETURNED) {
+            bus_fail(bus, "%s", arm->failed ? arm->error : "a function of the program does not return");
+        }
+        result = (uint8_t)state->r[0];
+    }
+    program->calling = false;
+    arm->region[REGION_DATA] = (arm_region_t){DATA_BASE, 0, NULL, false};
+    *state = before;
+    memcpy(&bus->escape, &within, sizeof within);
+    return result;
+}
+
+uint8_t program_read(program_t *program, uint32_t address, uint8_t *data, uint16_t size)
+{
+    return call(program, program->read, address, data, size);
+}
+
+uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data, uint16_t size)
+{
+    return call(program, program->write, address, (uint8_t *)data, size); /* only read */
+}
+
+const uint8_t *program_snapshot(const program_t *program) { return program->ram + (program->snapshot - RAM_BASE); }
+
+uint32_t program_tick(const program_t *program)
+{
+    uint32_t tick;
+    memcpy(&tick, program_snapshot(program) + offsetof(snapshot_t, tick), sizeof tick);
+    return tick;
+}
+
+uint32_t program_contract(const program_t *program)
+{
+    uint32_t hash;
+    memcpy(&hash, program->ram + (program->servo - RAM_BASE) + offsetof(servo_t, catalogue_hash), sizeof hash);
+    return hash;
+}
+
+void program_set_winding(program_t *program, int axis, int32_t temperature)
+{
+    memcpy(program->ram + (program->winding[axis] - RAM_BASE), &temperature, sizeof temperature);
+}
+
+/* ---- load ----------------------------------------------------------------------------------------------------------- */
+
+static const char *const wrong_program =
+    "this is no ELF file of this version of firmware/port/mc56f84789_m4: a symbol is missing, or has another size";
+
+static bool find_symbol(const elf_t *elf, const char *name, uint32_t size, uint32_t *address)
+{
+    uint32_t found = 0;
+    return elf_symbol(elf, name, address, &found) && (size == 0u || found == size);
+}
+
+/* Addresses of what the board reads, and the constants that it sets. */
+static const char *find_symbols(program_t *program, const elf_t *elf, const servo_config_t *config, uint32_t baud)
+{
+    const arm_region_t *flash = &program->arm.region[REGION_FLASH];
+    uint32_t layout_at, config_at, baud_at, layout[LAYOUT_WORDS];
+    if (!find_symbol(elf, "servo", 0u, &program->servo) || !find_symbol(elf, "servo_read", 0u, &program->read) ||
+        !find_symbol(elf, "servo_write", 0u, &program->write) ||
+        !find_symbol(elf, "image_layout", sizeof layout, &layout_at) ||
+        !find_symbol(elf, "servo_config", sizeof *config, &config_at) ||
+        !find_symbol(elf, "image_baud", sizeof baud, &baud_at)) {
+        return wrong_program;
+    }
+    if (layout_at + sizeof layout > flash->size || config_at + sizeof *config > flash->size ||
+        baud_at + sizeof baud > flash->size) {
+        return wrong_program;
+    }
+    memcpy(layout, flash->bytes + layout_at, sizeof layout);
+    program->snapshot = program->servo + layout[LAYOUT_SNAPSHOT];
+    program->winding[0] = program->servo + layout[LAYOUT_WINDING];
+    program->winding[1] = program->servo + layout[LAYOUT_WINDING + 1];
+    if (layout[LAYOUT_SNAPSHOT_SIZE] != sizeof(snapshot_t) ||
+        program->snapshot - RAM_BASE > PROGRAM_RAM - sizeof(snapshot_t) ||
+        program->winding[0] - RAM_BASE > PROGRAM_RAM - 4u || program->winding[1] - RAM_BASE > PROGRAM_RAM - 4u) {
+        return wrong_program;
+    }
+    if (config != NULL) {
+        memcpy(flash->bytes + config_at, config, sizeof *config);
+    }
+    memcpy(flash->bytes + baud_at, &baud, sizeof baud);
+    return NULL;
+}
+
+/* FNV-1a of the program with its constants. */
+static uint64_t identity_of(const arm_region_t *flash)
+{
+    uint64_t sum = UINT64_C(0xCBF29CE484222325);
+    for (uint32_t k = 0; k < flash->size; k++) {
+        sum = (sum ^ flash->bytes[k]) * UINT64_C(0x100000001B3);
+    }
+    return sum;
+}
+
+const char *program_load(program_t *program, chip_t *chip, const program_hooks_t *hooks, const uint8_t *elf,
+                         size_t size, const servo_config_t *config, uint32_t baud)
+{
+    const elf_t file = {elf, size};
+    const char *problem = elf_check(&file);
+    if (problem != NULL) {
+        return problem;
+    }
+    arm_region_t regions[REGIONS] = {
+        {FLASH_BASE, elf_extent(&file, FLASH_BASE, FLASH_ROOM), NULL, false},
+        {RAM_BASE, PROGRAM_RAM, program->ram, true},
+        {DATA_BASE, 0, NULL, false},
+    };
+    regions[REGION_FLASH].bytes = (uint8_t *)calloc(regions[REGION_FLASH].size + 1u, 1);
+    if (regions[REGION_FLASH].bytes == NULL || !arm_init(&program->arm, regions, REGIONS, &owner, program)) {
+        free(regions[REGION_FLASH].bytes);
+        return "no memory for the program";
+    }
+    program->chip = chip;
+    program->hooks = hooks;
+    program->ram_used = PROGRAM_RAM;
+    program->loaded = true;
+    problem = elf_load(&file, &program->arm.region[REGION_FLASH]);
+    if (problem == NULL) {
+        problem = find_symbols(program, &file, config, baud);
+    }
+    program->identity = identity_of(&program->arm.region[REGION_FLASH]);
+    return problem;
+}
+
+void program_free(program_t *program)
+{
+    if (program->loaded) {
+        arm_free(&program->arm);
+        free(program->arm.region[REGION_FLASH].bytes);
+        program->loaded = false;
+    }
+}

@@ -1,0 +1,58 @@
+/* program.h - the software of a board as the program of an ELF file, executed instruction by instruction.
+ *
+ * The peripherals of the chip are at 0x40000000 + twice their word address, its interrupt vectors are the interrupts of the NVIC, and
+ * a cycle of the core is a clock of the bus: a chip that does not exist (servo_twin/doc/elf.md). An access to a register happens at
+ * the clock at which its instruction begins.
+ */
+#ifndef SERVO_TWIN_PROGRAM_H
+#define SERVO_TWIN_PROGRAM_H
+
+#include "app/servo.h"
+#include "arm/arm.h"
+#include "chip/chip.h"
+
+#define PROGRAM_RAM 0x8000u /* bytes */
+
+/* The handler of a vector begins, or has ended; the result are clocks by which it takes longer. */
+typedef struct {
+    void (*begins)(void *board);
+    uint32_t (*ends)(void *board, unsigned vector);
+} program_hooks_t;
+
+typedef struct program {
+    arm_t arm; /* behind its state nothing is part of the state of a board */
+    chip_t *chip;
+    const program_hooks_t *hooks;
+    bool loaded;
+    bool calling;      /* a function runs as by a debugger: no time passes */
+    bool timeless;     /* instructions take no time */
+    uint64_t identity; /* of the program, for states of boards */
+    uint64_t clock;    /* of the next instruction [bus clocks] */
+    uint64_t next;     /* clock before which nothing happens; 0: unknown */
+    uint32_t servo, snapshot, winding[2], read, write; /* addresses in the program */
+    size_t ram_first, ram_used; /* 0, PROGRAM_RAM; without a program 0 */
+    uint8_t ram[PROGRAM_RAM];
+} program_t;
+
+/* Load an ELF file with the port firmware/port/mc56f84789_m4. NULL, or why it is refused. `config`: NULL for that of the file. */
+const char *program_load(program_t *program, chip_t *chip, const program_hooks_t *hooks, const uint8_t *elf,
+                         size_t size, const servo_config_t *config, uint32_t baud);
+void program_free(program_t *program);
+
+/* As chip_run. */
+void program_run(program_t *program, uint64_t until);
+
+/* servo_read and servo_write of the program. */
+uint8_t program_read(program_t *program, uint32_t address, uint8_t *data, uint16_t size);
+uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data, uint16_t size);
+
+/* The telemetry snapshot of the program. */
+const uint8_t *program_snapshot(const program_t *program);
+uint32_t program_tick(const program_t *program);
+
+/* Hash of its table of variables. */
+uint32_t program_contract(const program_t *program);
+
+void program_set_winding(program_t *program, int axis, int32_t temperature);
+
+#endif
