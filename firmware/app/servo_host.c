@@ -8,8 +8,7 @@
 #include "app/servo.h"
 #include "app/servo_storage.h"
 #include "app/variables.h"
-
-#define PWM_PERIOD_NS UINT32_C(62500)
+#include "config/board_gen.h"
 
 #define RESULT_UNKNOWN 1u /* unknown command code */
 #define RESULT_LEVEL 2u /* the client has not logged in to the level *command* */
@@ -196,7 +195,7 @@ void servo_host_init(servo_t *servo, const servo_config_t *config)
         .memory_size = (uint32_t)offsetof(servo_t, hal),
         .live = (const uint8_t *)servo,
         .live_size = (uint32_t)sizeof *servo,
-        .recorder = {{"PWM periods", PWM_PERIOD_NS}, {"slow ticks", PWM_PERIOD_NS * SERVO_SLOW_PERIODS}},
+        .recorder = {{"PWM periods", BOARD_PWM_PERIOD_NS}, {"slow ticks", BOARD_PWM_PERIOD_NS * SERVO_SLOW_PERIODS}},
         .samples = servo->samples,
         .samples_size = (uint16_t)sizeof servo->samples,
         .tsa = &servo_variables,

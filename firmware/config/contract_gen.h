@@ -7,8 +7,6 @@
 
 #define CATALOGUE_HASH UINT32_C(0x724DC382)
 
-#define BOARD_NAME "mc56f84789"
-
 #define POSITION_PER_TURN 4000 /* position counts */
 
 #define PARAMETER_VALUES 29U

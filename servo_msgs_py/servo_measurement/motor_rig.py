@@ -81,12 +81,12 @@ class MotorRig(AxisUnderTest):
     @property
     def dead_time(self) -> float:
         """Time with both switches of a leg open, per edge [s]."""
-        return float(self._base["board"]["dead_time"])
+        return self.access.catalogue.board.dead_time
 
     @property
     def lost_voltage(self) -> float:
         """Nominal voltage lost in a leg by dead time and drop [V]."""
-        return self.dead_time / PERIOD * self.limits.voltage + float(self._base["board"]["switch_drop"])
+        return self.dead_time / PERIOD * self.limits.voltage + self.access.catalogue.board.switch_drop
 
     # ---- protection --------------------------------------------------------------------------------------------------
 

@@ -1,9 +1,13 @@
-"""Descriptions of the boards (``boards/NAME.toml``): what the hardware of a board gives, as typed objects."""
+"""Descriptions of the boards (``boards/NAME.toml``): what the hardware of a board gives, as typed objects.
+
+A process works with one board: `DEFAULT_BOARD`, or that of the environment variable `VARIABLE`.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +15,10 @@ from typing import Any, Final
 from servo_msgs_py.text_file import read_toml
 
 DEFAULT_BOARD: Final = "mc56f84789"
-"""Board of the firmware and of the twin. Firmware and configurations that name no board are for it."""
+"""Board of the firmware and of the virtual board. Firmware and configurations that name no board are for it."""
+
+VARIABLE: Final = "SERVO_BOARD"
+"""Environment variable with the name of the board of this process, or with the file of its description, NAME.toml."""
 
 FIRMWARE: Final = "servo"
 """Name of the firmware. It reports ``servo/BOARD``, and before it knew the name of its board, ``servo``."""
@@ -28,25 +35,59 @@ class BoardDescription:
     """What the hardware of one board gives."""
 
     name: str
+    pwm_frequency: float  # carrier of the inverters and rate of the fast loop [Hz]
+    dead_time: float  # time with both switches of a leg open, per edge [s]
+    switch_drop: float  # voltage drop of a switch or diode [V]
+    timer_clock: float  # clock of the encoder edge timer [Hz]
+    encoder_filter: float  # shortest level of an encoder channel that passes the input filter [s]
     ranges: Mapping[str, float]  # full scales of the measured quantities, SI, by the names that variables.toml uses
+
+    def __post_init__(self) -> None:
+        for key in ("pwm_frequency", "timer_clock", "encoder_filter"):
+            if getattr(self, key) <= 0.0:
+                raise ValueError(f"{self.name}: {key} = {getattr(self, key)!r} is not above 0")
+        if not 0.0 <= self.dead_time < 0.5 * self.period:
+            raise ValueError(f"{self.name}: two dead times of {self.dead_time:g} s fill the PWM period")
+        if abs(1e9 * self.period - self.period_ns) > 1e-3:
+            raise ValueError(f"{self.name}: a PWM period of {self.period!r} s is no whole number of nanoseconds")
+
+    @property
+    def period(self) -> float:
+        """PWM period [s]."""
+        return 1.0 / self.pwm_frequency
+
+    @property
+    def period_ns(self) -> int:
+        """PWM period [ns]."""
+        return round(1e9 / self.pwm_frequency)
 
     @classmethod
     def parse(cls, name: str, table: Mapping[str, Any]) -> BoardDescription:
-        """Description from the parsed file."""
+        """Description from the parsed file.
+
+        Raises
+        ------
+        ValueError
+            If an entry is missing, unknown or out of range.
+        """
+        if wrong := sorted({field.name for field in fields(cls)} - {"name"} ^ set(table)):
+            raise ValueError(f"{name}: missing or unknown: {', '.join(wrong)}")
         return cls(name=name, **table)
 
     @classmethod
-    def load(cls, name: str = DEFAULT_BOARD) -> BoardDescription:
-        """Packaged description.
+    def load(cls, name: str | None = None) -> BoardDescription:
+        """Description of a board by its name or file; by default of the board of this process.
 
         Raises
         ------
         OtherBoardError
             If there is none of this name.
         """
-        if name not in known_boards():
+        name = name or os.environ.get(VARIABLE) or DEFAULT_BOARD
+        path = Path(name) if name.endswith(".toml") else _FOLDER / f"{name}.toml"
+        if not path.is_file():
             raise OtherBoardError(f"there is no description of the board {name!r}; {_known()}")
-        return cls.parse(name, read_toml(_FOLDER / f"{name}.toml"))
+        return cls.parse(path.stem, read_toml(path))
 
 
 def board_of(reported: str) -> str | None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.quantity import Format, Quantity
 from servo_msgs_py.text_file import TextFileError, read_toml
-from servo_msgs_py.units import to_raw
+from servo_msgs_py.units import SLOW_PERIODS, to_raw
 
 AXES: Final = 2
 """Axes of one board."""
@@ -324,8 +324,9 @@ def _read(source: Path, board: BoardDescription) -> Catalogue:
 
 
 def _scales(table: Mapping[str, Mapping[str, Any]], board: BoardDescription) -> dict[str, Scale]:
-    """Scales in their order: numbers, ranges of the board, and multiples of earlier scales."""
+    """Scales in their order: numbers, ranges and times of the board, and multiples of earlier scales."""
     scales: dict[str, Scale] = {}
+    times = {"period": board.period, "slow_tick": SLOW_PERIODS * board.period}
 
     def full(name: str) -> float:
         if name not in scales or (value := scales[name].full_scale) is None:
@@ -337,9 +338,14 @@ def _scales(table: Mapping[str, Mapping[str, Any]], board: BoardDescription) -> 
         if "range" in entry:
             full_scale = board.ranges[entry["range"]]
         elif "of" in entry:
-            times, divisor = entry.get("ratio", (1, 1))
-            value = full(entry["of"]) * times / divisor / (full(entry["over"]) if "over" in entry else 1.0)
+            multiple, divisor = entry.get("ratio", (1, 1))
+            value = full(entry["of"]) * multiple / divisor / (full(entry["over"]) if "over" in entry else 1.0)
+            value /= times[entry["over_time"]] if "over_time" in entry else 1.0
             full_scale, lsb = (None, math.ldexp(value, -entry["bits"])) if "bits" in entry else (value, None)
+        elif "time" in entry:
+            lsb = times[entry["time"]]
+        elif "turn_bits" in entry:
+            lsb = math.ldexp(2.0 * math.pi / times[entry["over_time"]], -entry["turn_bits"])
         scales[name] = Scale(name, entry["unit"], full_scale, lsb)
     return scales
 

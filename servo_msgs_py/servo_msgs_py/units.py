@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from servo_msgs_py.board_description import BoardDescription
+
 COUNTS_PER_TURN: Final = 4000
 """Unit of positions in the contract, per mechanical revolution: a count of a 1000-line encoder (DRM 2.4.1)."""
 
-PERIOD_NS: Final = 62_500
-"""Length of one PWM period, 16 kHz [ns]."""
+PERIOD_NS: Final = BoardDescription.load().period_ns
+"""Length of one PWM period [ns]."""
 
 SLOW_PERIODS: Final = 8
-"""PWM periods per slow loop (0.5 ms, DRM 2.3.2)."""
+"""PWM periods per slow loop (DRM 2.3.2), on every board."""
 
 TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
 """Length of one slow tick [ns]."""

@@ -7,11 +7,11 @@ import math
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Variable
-from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
+from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
 from servo_tuning.constants import SIGN_FACTOR, SIGN_USE, SILENT_USE, dead_time_current, ripple_current, sign_current
-from servo_tuning.errors import Remedy, exactly, higher, lower
+from servo_tuning.errors import Remedy, higher, lower
 from servo_tuning.field_weakening import idle_speed
 from servo_tuning.gains import CURRENT_SAMPLES_MIN
 from servo_tuning.rotor_search import check_rotor_search
@@ -27,9 +27,9 @@ LOST_VOLTAGE_COUNTS_MAX: Final = 25.0
 """Largest movement of a shaft by dead time and switch drops. Of 12 random motors on the switching plant with 26 and
 more, 11 oscillated by 10 .. 900 counts or had a fault; of 10 with less, three did."""
 
-COUNT_TIME_MIN: Final = 400e-9
-"""Shortest time between two counts: twice that of the input filters of the encoders, which leaves half of a level for
-tolerances of the encoder [s]."""
+COUNT_TIME_FILTERS: Final = 2.0
+"""Shortest time between two counts over that of the input filters of the encoders; half of a level is left for
+tolerances of the encoder."""
 
 
 def check(configuration: Configuration, catalogue: Catalogue) -> None:
@@ -47,7 +47,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
     if board.complete:
         _bus(configuration)
     for axis in configuration.axes:
-        _axis(axis)
+        _axis(axis, board)
         _direction(axis, board)
         _voltage(axis, board)
         _order(axis, board)
@@ -61,10 +61,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
 
 
 def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
-    """Check frequencies, voltages, dead time and timeouts."""
-    for key, expected in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
-        if board(key) != expected:
-            raise board.refused(key, "fixed by the firmware", exactly(f"board.{key}", float(expected)))
+    """Check voltages and timeouts."""
     for key in ("nominal_voltage", "over_voltage"):
         if board(key) >= scales.u_dc:
             reason = f"not below {scales.u_dc:g} V, the largest bus voltage of the board {board.description.name}"
@@ -74,9 +71,6 @@ def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
         if board(below) >= board(above):
             reason = f"not below {above} = {board(above):g} V"
             raise board.refused(below, reason, lower(f"board.{below}"), higher(f"board.{above}"))
-    if board("dead_time") >= 0.5 * board.period:
-        reason = f"two dead times fill the PWM period of {board.period:g} s"
-        raise board.refused("dead_time", reason, lower("board.dead_time"))
     for key in ("host_timeout", "command_timeout"):
         timeout = catalogue[f"param.{key}"]
         if not timeout.minimum <= board(key) <= timeout.maximum:
@@ -101,9 +95,9 @@ def _into(entry: str, value: float, variable: Variable) -> Remedy:
     return higher(entry) if value < variable.minimum else lower(entry)
 
 
-def _axis(axis: Axis) -> None:
+def _axis(axis: Axis, board: Board) -> None:
     """Check encoder, limits, friction and inertia."""
-    fastest = 2.0 * math.pi / axis.counts / COUNT_TIME_MIN
+    fastest = 2.0 * math.pi / axis.counts / (COUNT_TIME_FILTERS * board.description.encoder_filter)
     if axis("limits.speed") > fastest:
         reason = f"above {fastest:.4g} rad/s, where the input filters of the board lose counts of"
         reason = f"{reason} {axis('encoder.lines'):g} lines"

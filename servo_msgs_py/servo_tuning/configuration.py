@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from servo_msgs_py.board_description import DEFAULT_BOARD, BoardDescription, OtherBoardError, check_board
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_tuning.errors import ConfigError, Entry, Problem, Remedy, problem, refused
 from servo_tuning.members import MEMBERS, read_members
@@ -50,9 +51,9 @@ class Scales:
 
 @dataclass(frozen=True)
 class Board:
-    """The group [board]; values by key, such as ``board("dead_time")`` and ``board("brake.power")``."""
+    """The group [board] and the numbers of the hardware; values by key, such as ``board("brake.power")``."""
 
-    values: Mapping[str, float]  # by key, or by group and key
+    values: Mapping[str, float]  # by key, or by group and key; of the hardware as in `HARDWARE`
     temperature: Temperature  # of the heat sinks
     brake: bool  # whether there is a brake resistor
     passwords: Mapping[str, str]  # entry of each level that has one: a hash, or the name of an environment variable
@@ -90,13 +91,15 @@ class Board:
         """
         plain = dict(check_table("board", table))
         check_board_name(plain.pop("name", DEFAULT_BOARD), description)
+        fixed = _fixed(plain, description)
         temperature = Temperature.of(plain.pop("temperature", {}))
         passwords = password_entries(plain.pop("passwords", {}))
         absent = all(group not in plain for group in BOARD_GROUPS)
         if absent:
-            return cls(check_group("board", "board", plain), temperature, False, passwords, description, complete=False)
+            values = check_group("board", "board", plain) | fixed
+            return cls(values, temperature, False, passwords, description, complete=False)
         groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
-        values = check_group("board", "board", plain)
+        values = check_group("board", "board", plain) | fixed
         switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
         for group, entries in groups.items():
             checked = check_group(f"board.{group}", group, entries)
@@ -107,6 +110,25 @@ class Board:
     def refused(self, key: str, reason: str, *remedies: Remedy | str) -> ConfigError:
         """Error about one entry of the group; remedies with the full names of entries."""
         return refused(f"board.{key}", self(key), reason, *remedies)
+
+
+HARDWARE: Final = ("pwm_frequency", "timer_clock", "dead_time", "switch_drop")
+"""Numbers of the description of a board that the tuning code uses."""
+
+
+def _fixed(table: dict[str, Any], description: BoardDescription) -> dict[str, float]:
+    """Numbers that no file can change. Older files have them as entries of [board]: these are taken from the table.
+
+    Raises
+    ------
+    ConfigError
+        If such an entry has another number.
+    """
+    fixed = {key: float(getattr(description, key)) for key in HARDWARE} | {"slow_divider": float(SLOW_PERIODS)}
+    for key, number in fixed.items():
+        if key in table and (given := table.pop(key)) != number:
+            raise refused(f"board.{key}", given, f"the board {description.name} has {number:g}", "remove the entry")
+    return fixed
 
 
 def check_board_name(name: object, expected: BoardDescription) -> None:

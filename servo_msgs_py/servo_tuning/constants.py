@@ -31,6 +31,7 @@ LINES_PER_RELOAD: Final = 8192
 """Lines of the encoder with which a turn fits the 16-bit counter; with more it reloads twice per turn."""
 
 _LINES: Final = "correct encoder.lines"
+_HARDWARE: Final = "correct the description of the board"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
 _SWING: Final = "raise rotor_search.current, or correct motor.inertia"
 _SLOWER_CURRENT: Final = lower("control.current_bandwidth")
@@ -74,10 +75,10 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Value]:
     omega_e = axis("motor.pole_pairs") * s.speed
     admittance = s.i / s.u_s
     slower = _SLOWER_CURRENT, "correct motor.r_s, motor.l_d or motor.l_q"
-    drop = to.board_at("switch_drop", 1.0 / s.u_dc)
+    drop = to.of("switch drop", board("switch_drop") / s.u_dc, _HARDWARE)
     use = to.board_at("voltage_use", math.sqrt(0.75))
     coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
-    duty = to.board_at("dead_time", 1.0 / board.period)
+    duty = to.of("dead time", board("dead_time") / board.period, _HARDWARE)
     step = to.of("angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
     _sum(to, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, *slower)
     emf = omega_e * axis("motor.psi_m") / s.u_s
@@ -116,9 +117,7 @@ def _sensing(to: Converter) -> dict[str, Value]:
         "speed_observer.speed_per_step": to.of("speed per step", 1.0 / steps, _LINES),
         "speed_observer.step_per_speed": to.of("step per speed", steps, _LINES),
         "speed_observer.acceleration_per_current": to.of("acceleration of the observer", torque, _HOLD),
-        "mt_speed.speed_per_ratio": Fraction(
-            "board.timer_clock: speed per count and clock", per_ratio, (either("board.timer_clock"),)
-        ),
+        "mt_speed.speed_per_ratio": to.of("speed per count and clock of the edge timer", per_ratio, _LINES, _HARDWARE),
         f"{search}.current_step": Fraction(
             axis.entry("rotor_search.ramp_time", "current per slow tick"),
             axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
@@ -328,7 +327,7 @@ def _monitor_constants(to: Converter) -> dict[str, Value]:
         "winding.resistance": to.of("voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
         "winding.inductance": to.of("inductive voltage", inductance, "correct motor.l_q"),
         "winding.rotation_per_voltage": to.of("rotation per back-EMF", turn, "correct motor.psi_m"),
-        "winding.emf_floor": to.of("unexplained voltage", floor, lower("board.switch_drop")),
+        "winding.emf_floor": to.of("unexplained voltage", floor, _HARDWARE),
         "heat.hot": hot,
         "heat.cool": cool,
     }

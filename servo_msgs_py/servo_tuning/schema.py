@@ -41,16 +41,11 @@ def checked_number(entry: Quantity, name: Entry | str, value: object) -> float:
 
 
 BOARD: Final[Mapping[str, Quantity]] = {
-    "pwm_frequency": _entry("Hz", "switching frequency and rate of the fast loop"),
-    "slow_divider": _entry("", "PWM periods per slow loop", whole=True),
-    "timer_clock": _entry("Hz", "clock of the encoder edge timer"),
     "nominal_voltage": _entry("V", "nominal bus voltage"),
     "over_voltage": _entry("V", "threshold of the bus voltage, fault above"),
     "under_voltage": _entry("V", "threshold of the bus voltage, fault below"),
     "host_timeout": _entry("s", "time without a message of the host until a fault"),
     "command_timeout": _entry("s", "age at which a velocity or torque set-point expires; 0: never", minimum=0.0),
-    "dead_time": _entry("s", "time with both switches of a leg open, per edge", minimum=0.0),
-    "switch_drop": _entry("V", "voltage drop of a switch or diode", minimum=0.0),
     "voltage_use": _entry("", "used fraction of the linear range of the modulation", maximum=1.0),
 }
 """Keys of the group [board]."""

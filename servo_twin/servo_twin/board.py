@@ -22,6 +22,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_description import DEFAULT_BOARD
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import SLOW_PERIODS, TICK, TICK_NS
@@ -207,6 +208,11 @@ class Board:
         self.plant = plant or PlantConfig.load()
         self._seed = seed
         self.catalogue = catalogue or Catalogue.load()
+        if self.catalogue.board.name != DEFAULT_BOARD:
+            raise BoardError(
+                f"there is no firmware and no model of the board {self.catalogue.board.name} yet; "
+                f"the virtual board is {DEFAULT_BOARD}"
+            )
         config = _native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud)
         if flash is not None:
             if len(flash) != FLASH_BYTES:

@@ -17,6 +17,7 @@ from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, Variable, axis_name
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.quantity import FINITE, Quantity
+from servo_msgs_py.units import PERIOD
 
 from servo_twin._board_pointers import write_pointers
 from servo_twin._build_native import COMPILER, EXTRA, FIRMWARE, IDEAL, NATIVE, OPTIONS, board_files, build_identity
@@ -27,7 +28,6 @@ from servo_twin.truth import QUANTITIES as TRUTH
 
 MODEL: Final = "servo_board"
 _BOOT: Final = 0.03  # until the parameters of the firmware have their values [s]
-STEP: Final = 62.5e-6  # [s]
 
 _WRITTEN: Final = ("enable", "mode", "position", "speed", "i_q", "quick_stop", "clear_faults", "home")
 """Commands that are inputs."""
@@ -252,13 +252,13 @@ def _description(variables: Sequence[_Variable], token: str) -> bytes:
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
         canHandleVariableCommunicationStepSize="true",
-        fixedInternalStepSize=repr(STEP),
+        fixedInternalStepSize=repr(PERIOD),
     )
     units = ET.SubElement(root, "UnitDefinitions")
     for unit, exponents in _UNITS.items():
         base = {name: str(value) for name, value in exponents.items()}
         ET.SubElement(ET.SubElement(units, "Unit", name=unit), "BaseUnit", base)
-    ET.SubElement(root, "DefaultExperiment", stepSize=repr(16 * STEP))
+    ET.SubElement(root, "DefaultExperiment", stepSize=repr(16 * PERIOD))
     listed = ET.SubElement(root, "ModelVariables")
     ET.SubElement(listed, "Float64", name="time", valueReference="0", causality="independent", variability="continuous")
     for v in variables:

@@ -12,6 +12,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
+from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.catalogue import AXIS_NAMES
 from servo_msgs_py.quantity import ABOVE_0, FINITE, Quantity
 from servo_msgs_py.text_file import TextFileError, read_toml, toml_text
@@ -384,7 +385,15 @@ def _replaced(place: Any, name: str, value: float) -> Any:
 
 @lru_cache(maxsize=1)
 def _packaged_table() -> Mapping[str, Any]:
-    return _read(DEFAULT_FILE)
+    return on_board(_read(DEFAULT_FILE), BoardDescription.load())
+
+
+def on_board(table: Mapping[str, Any], board: BoardDescription) -> dict[str, Any]:
+    """Table of a plant with the numbers of the board that it does not have."""
+    axis = {"i_full_scale": board.ranges["current"], "dead_time": board.dead_time}
+    axes = {name: {**table[name], **axis, **table[name]} for name in AXIS_NAMES}  # in the order of the file
+    bus = {"u_full_scale": board.ranges["bus_voltage"], **table["bus"]}
+    return {"pwm_frequency": board.pwm_frequency, **table, **axes, "bus": bus}
 
 
 @lru_cache(maxsize=1)

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.text_file import read_toml
-from servo_tuning.checks import COUNT_TIME_MIN
+from servo_tuning.checks import COUNT_TIME_FILTERS
 from servo_tuning.reading import parse
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
@@ -31,7 +32,7 @@ def table(lines: tuple[int, int]) -> Mapping[str, Any]:
     """``servo.toml`` with these encoders and the speeds that they permit."""
     result = copy.deepcopy(dict(read_toml(CONFIG)))
     for name, number in zip(("axis1", "axis2"), lines, strict=True):
-        fastest = math.floor(2.0 * math.pi / (4 * number) / COUNT_TIME_MIN)
+        fastest = math.floor(2.0 * math.pi / (4 * number) / COUNT_TIME_FILTERS / BoardDescription.load().encoder_filter)
         result[name] |= {"encoder": {"lines": number}, "limits": {"speed": min(314.0, fastest)}}
         if number == min(LINES):
             result[name]["control"] = {"speed_bandwidth": BANDWIDTH, "position_gain": 20.0}

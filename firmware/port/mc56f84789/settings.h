@@ -9,6 +9,7 @@
 
 #include <stdint.h>
 
+#include "config/board_gen.h"
 #include "port/mc56f84789/registers.h"
 
 /* ==== quantities ================================================================================================= */
@@ -24,10 +25,10 @@
 
 /* Inverters. */
 #ifndef PWM_FREQUENCY_HZ
-#define PWM_FREQUENCY_HZ 16000UL
+#define PWM_FREQUENCY_HZ BOARD_PWM_FREQUENCY_HZ
 #endif
 #ifndef DEAD_TIME_NS
-#define DEAD_TIME_NS 1000UL
+#define DEAD_TIME_NS BOARD_DEAD_TIME_NS
 #endif
 #ifndef HALF_PULSE_MIN_CLOCKS
 #define HALF_PULSE_MIN_CLOCKS 2 /* VAL2 = VAL3 is not defined; shorter pulses are none */
@@ -65,11 +66,11 @@
 
 /* Encoders; lines and speeds are configuration of an axis. */
 #ifndef ENCODER_FILTER_NS
-#define ENCODER_FILTER_NS 200UL /* an edge every 400 ns passes: a level then lasts for two of them, less tolerances */
+#define ENCODER_FILTER_NS BOARD_ENCODER_FILTER_NS /* an edge may follow after two of them, less tolerances */
 #endif
 #define ENCODER_FILTER_SAMPLES 4UL
 #ifndef TIME_STAMP_DIVIDER
-#define TIME_STAMP_DIVIDER 128UL /* bus clocks per count of TMRx1 and TMRx3 (DRM 2.4.4) */
+#define TIME_STAMP_DIVIDER (BUS_CLOCK_HZ / BOARD_TIMER_CLOCK_HZ) /* of TMRx1 and TMRx3 (DRM 2.4.4) */
 #endif
 
 /* Serial line and watchdog. */

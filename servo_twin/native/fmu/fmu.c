@@ -11,9 +11,10 @@
 #include <string.h>
 
 #include "board.h"
+#include "config/board_gen.h"
 #include "fmu_variables.h"
 
-#define STEP_NS UINT64_C(62500) /* a communication step is a multiple of a PWM period */
+#define STEP_NS ((uint64_t)BOARD_PWM_PERIOD_NS) /* a communication step is a multiple of a PWM period */
 #define STEP_TOLERANCE 1e-6 /* rounding of communication points [periods] */
 #define BLOCK 1000u /* value references per block */
 
@@ -431,8 +432,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, double point, double size, fmi3Bool
                       "currentCommunicationPoint");
     }
     if (!whole_periods(size, &periods) || periods < 1.0) {
-        return report(fmu, fmi3Discard, "is not a multiple of a PWM period, 62.5 us; choose one",
-                      "communicationStepSize");
+        return report(fmu, fmi3Discard, "is not a multiple of a PWM period; choose one", "communicationStepSize");
     }
     board_advance(fmu->board, now_ns + (uint64_t)periods * STEP_NS);
     *last = point + size;
