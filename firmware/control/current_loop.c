@@ -34,7 +34,7 @@ void current_loop_set_speed(current_loop_t *loop, const current_loop_config_t *c
     loop->minus_2_omega = -2 * (int32_t)omega_e;
     const sin_cos_t turn = sin_cos(current_loop_rounded(pi_sum_add(0, loop->omega_e, config->angle_step)));
     loop->rotation_sin = turn.sin;
-    loop->rotation_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* below a quarter turn per period */
+    loop->rotation_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* a quarter turn per period and more: 1 */
 }
 
 /* Preset of the integral parts for e = 0: the voltage that the decoupling terms do not supply,

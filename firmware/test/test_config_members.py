@@ -127,7 +127,9 @@ def test_a_file_of_a_board_has_all_members_of_all_axes() -> None:
 
 
 def test_the_tuning_code_refuses_a_motor_that_the_board_would_refuse() -> None:
-    """25 pole pairs fit every format, but exceed a sum on the board."""
     limit = AxisConfigTable.load().members["encoder.pole_pairs"].raw_range[1]
+    assert limit == 50
+    many = {"axis1__encoder__lines": 2048, "axis1__rotor_search__current": 1.0, "axis1__motor__psi_m": 0.0154 * 2 / 50}
+    assert axis(1, axis1__motor__pole_pairs=limit, **many).block["encoder.pole_pairs"] == limit
     with pytest.raises(ConfigError, match="axis1"):
         axis(1, axis1__motor__pole_pairs=limit + 1, axis1__motor__psi_m=0.001)

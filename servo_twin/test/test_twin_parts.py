@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.board_port import reached
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.joints import Joint
@@ -18,9 +19,11 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.lockstep.applied_commands import AppliedCommands
 from servo_twin.lockstep.axis_alignment import AxisAlignment
+from servo_twin.lockstep.blocks import position_resolution
 from servo_twin.lockstep.replica import POLL, Replica, slow_tick
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.samples import Activity, SampleReader, StandstillDetector, activity
+from servo_twin.validation.experiments.plant_limits import built_in_block
 from twin_rig import CATALOGUE, COLUMNS
 
 SECOND = round(1e9 / PERIOD_NS)
@@ -174,6 +177,20 @@ class TestSamples:
         detector.forget()
         assert not detector.at_rest(1)
         assert [add(tick, 0) for tick in (400, 450, 500)] == [False, False, True]
+
+    def test_an_encoder_with_few_lines_rests_within_its_own_counts(self) -> None:
+        resolution = [1, 1]
+        detector = StandstillDetector(100, resolution)
+        for tick, counts in ((0, 0), (50, 20), (100, 0)):
+            detector.add(tick, (counts, counts))
+        assert not detector.at_rest(0)
+        table, block = AxisConfigTable.load(), built_in_block(0)
+        for lines, expected in ((100, 10), (1000, 1), (16384, 1)):
+            words = table.words({**block, "encoder.angle_per_count": round(2**32 / (4 * lines))})
+            assert position_resolution(words) == expected
+        resolution[0] = 10
+        assert detector.at_rest(0)
+        assert not detector.at_rest(1)
 
 
 class TestReplica:

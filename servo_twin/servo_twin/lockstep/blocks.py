@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_block, send_configuration
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.lockstep.replica import Replica
 
@@ -36,6 +37,12 @@ def checksums_of(blocks: Blocks) -> dict[int, int]:
     """Checksum of each block, as in ``config.checksum`` of a board."""
     table = AxisConfigTable.load()
     return {axis: table.checksum(axis, table.block(words)) for axis, words in blocks.items()}
+
+
+def position_resolution(words: Sequence[int]) -> int:
+    """Position counts per count of the encoder of a block, at least 1."""
+    per_count = AxisConfigTable.load().block(words)["encoder.angle_per_count"]  # 2^32 is a turn
+    return max(round(COUNTS_PER_TURN * per_count / 2**32), 1)
 
 
 def repeat_blocks(replica: Replica, command: AppliedCommand) -> None:

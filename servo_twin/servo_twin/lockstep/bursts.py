@@ -33,7 +33,8 @@ _READING: Final = 30.0  # longest time for reading a burst, and largest lag of t
 _LATE: Final = 32_000  # sampling continues after "recorder idle", as the burst may arrive later [ticks]
 _MEMORY: Final = 1 << 26  # largest memory of the samples [bytes]
 _ALIGNMENTS: Final = 1024  # stored changes of the alignment
-_SAME_ANGLE: Final = 10  # largest difference of equal electrical angles [counts]: noise of a rotor search
+_SAME_ANGLE: Final = 10  # largest difference of equal electrical angles [counts]: noise of a rotor search ..
+_SAME_ANGLE_ENCODER: Final = 3  # .. or, with few lines, counts of the encoder
 _WRAP: Final = 1 << 32
 _NO_SETUP: Final = "the twin was started after the set-up of the recorder"
 
@@ -77,10 +78,13 @@ class BurstSampler:
     ----------
     catalogue : Catalogue
         Table of variables.
+    resolution : sequence of int
+        Position counts per count of the encoder, by axis; the owner may change them.
     """
 
-    def __init__(self, catalogue: Catalogue) -> None:
+    def __init__(self, catalogue: Catalogue, resolution: Sequence[int] = (1,) * AXES) -> None:
         self._catalogue = catalogue
+        self._resolution = resolution
         self._setup: RecorderSetup | None = None
         self._end: int | None = None  # real tick at which sampling ends
         self._replica: Replica | None = None  # board that is sampled
@@ -268,7 +272,8 @@ class BurstSampler:
             return _empty_answer(burst, f"no samples of the twin at {missing} of {len(rows)} ticks")
         raw = {name: points[field][rows].astype(np.int64) for name, field in fields.items()}
         not_comparable = np.array([bool(alignment.difference) for alignment in alignments])[where]
-        other_angle = _to_real_board(raw, np.array([alignment.offsets for alignment in alignments])[where])
+        offsets = np.array([alignment.offsets for alignment in alignments])[where]
+        other_angle = _to_real_board(raw, offsets, self._resolution)
         notes = []
         if not_comparable.any():
             reasons = dict.fromkeys(alignments[k].difference for k in where.tolist() if alignments[k].difference)
@@ -311,7 +316,9 @@ class BurstSampler:
         return BurstAnswer(burst.label, Trace(0.0, twin), Trace(0.0, residual), "; ".join([*missing, *notes]))
 
 
-def _to_real_board(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]) -> list[str]:
+def _to_real_board(
+    raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64], resolution: Sequence[int]
+) -> list[str]:
     """Convert positions of the twin to the coordinates of the real board.
 
     Parameters
@@ -320,6 +327,8 @@ def _to_real_board(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]
         Raw values by variable; positions are replaced.
     offsets : array of int, shape (points, AXES)
         Position of the real axis minus that of the twin [counts].
+    resolution : sequence of int
+        Position counts per count of the encoder, by axis.
 
     Returns
     -------
@@ -333,7 +342,7 @@ def _to_real_board(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]
             if name in raw:
                 raw[name] = _signed(raw[name] + shift)
         within = (shift + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
-        if np.abs(within).max() > _SAME_ANGLE:
+        if np.abs(within).max() > max(_SAME_ANGLE, _SAME_ANGLE_ENCODER * resolution[axis]):
             other_angle += [name for name in raw if name.removeprefix(f"{axis_name(axis)}.") in ANGLE_DEPENDENT]
     return other_angle
 

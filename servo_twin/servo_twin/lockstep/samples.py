@@ -29,7 +29,7 @@ ANGLE_DEPENDENT: Final = (
 
 _COMMON: Final = ("tick", "applied_tick", "applied_count")
 _PER_AXIS: Final = ("position", "speed", "i_q", "state", "substate")
-_REST_COUNTS: Final = 2  # the controller does not correct an error of one count
+_REST_COUNTS: Final = 2  # of the encoder or the position; the controller does not correct an error of one count
 
 
 class Activity(Enum):
@@ -145,10 +145,13 @@ class StandstillDetector:
     ----------
     ticks : int
         Required time of standstill [PWM periods].
+    resolution : sequence of int
+        Position counts per count of the encoder, by axis; the owner may change them.
     """
 
-    def __init__(self, ticks: int) -> None:
+    def __init__(self, ticks: int, resolution: Sequence[int] = (1,) * AXES) -> None:
         self._ticks = ticks
+        self._resolution = resolution
         self._samples: deque[tuple[int, tuple[int, ...]]] = deque()
 
     def forget(self) -> None:
@@ -167,4 +170,4 @@ class StandstillDetector:
         if not self._samples or self._samples[-1][0] - self._samples[0][0] < self._ticks:
             return False
         positions = [position[axis] for _, position in self._samples]
-        return max(positions) - min(positions) <= _REST_COUNTS
+        return max(positions) - min(positions) <= _REST_COUNTS * self._resolution[axis]

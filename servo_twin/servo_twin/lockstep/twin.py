@@ -35,7 +35,15 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS, TICK
 from servo_twin.board import Board
 from servo_twin.lockstep.applied_commands import AppliedCommands
 from servo_twin.lockstep.axis_alignment import POINTS, AxisAlignment
-from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, checksums_of, repeat_blocks, write_blocks
+from servo_twin.lockstep.blocks import (
+    TAKE,
+    Blocks,
+    blocks_of,
+    checksums_of,
+    position_resolution,
+    repeat_blocks,
+    write_blocks,
+)
 from servo_twin.lockstep.bursts import Alignment, BurstAnswer, BurstSampler
 from servo_twin.lockstep.replica import POLL, Replica, slow_tick
 from servo_twin.lockstep.samples import PER_BOARD, Activity, Sample, SampleReader, StandstillDetector, activity
@@ -103,8 +111,9 @@ class Twin:
         self._new_board = new_board
         self._reader = SampleReader(self._catalogue)
         self._commands = AppliedCommands()
-        self._rest = StandstillDetector(_ticks(self.settings.rest))
-        self._own_rest = StandstillDetector(_ticks(self.settings.rest))
+        self._resolution = [1] * AXES  # position counts per count of the encoder
+        self._rest = StandstillDetector(_ticks(self.settings.rest), self._resolution)
+        self._own_rest = StandstillDetector(_ticks(self.settings.rest), self._resolution)
         self._queue: deque[Sample] = deque()
         self._last: Sample | None = None
         self._replica: Replica | None = None
@@ -113,7 +122,7 @@ class Twin:
         self._parameters: RawParameters | None = None
         self._cause = ""  # reason for a pending synchronisation
         self._in_force: RawParameters = {}  # parameters of the twin's board, in coordinates of the real board
-        self._bursts = BurstSampler(self._catalogue)
+        self._bursts = BurstSampler(self._catalogue, self._resolution)
         self._last_difference = ""  # `Pair.difference` of the last sample
         self._blocks: dict[int, tuple[int, ...]] = {}  # known configuration blocks of the real board
         self._windings: Sequence[float] = ()  # winding temperatures of the real motors [deg C]; empty: unknown
@@ -138,6 +147,8 @@ class Twin:
         Later block commands are executed at their tick. Synchronises again if the twin's board has other blocks.
         """
         self._blocks |= {axis: tuple(words) for axis, words in blocks.items()}
+        for axis, words in blocks.items():
+            self._resolution[axis] = position_resolution(words)
         if self._replica is not None and not self._has_blocks(self._replica):
             self._cause = "changed configuration of the board"
             self.resync(self._cause)
