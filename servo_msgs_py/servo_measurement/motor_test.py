@@ -89,7 +89,8 @@ SEARCH_PAUSE: Final = 0.5
 """Wait between the rotor search and the first run [s], because a simulated search can take longer."""
 FLUX_CURRENT: Final = 0.4  # d-axis current at constant speed, relative to the limit
 FLUX_CURRENT_VOLTAGE: Final = 0.3  # its largest voltage drop, relative to the voltage
-HOLD_EVERY: Final = 3  # slow ticks per sample of the recording of that current
+PLAIN_EVERY: Final = 2  # slow ticks per sample of a run without that current
+HOLD_EVERY: Final = 4  # slow ticks per sample of the recording of that current
 HOLD_SAMPLES: Final = round(FLUX_CURRENT_TIME / TICK / HOLD_EVERY)
 ROOM_USE: Final = 0.9  # travel used, relative to the distance to the limits
 OVERSHOOT: Final = 1.18  # of the speed after a reversal, relative to the set-point
@@ -477,7 +478,8 @@ class MotorTest:
             for speed in speeds:
                 rig.make_room(room, maximum, acceleration)
                 ramp = abs(speed) / acceleration
-                rig.moving("plain", _PLAIN, round(PLAIN_TIME / TICK), 1, speed, (ramp + SETTLE, ramp + STOPPED))
+                times = ramp + SETTLE, ramp + STOPPED
+                rig.moving("plain", _PLAIN, round(PLAIN_TIME / TICK / PLAIN_EVERY), PLAIN_EVERY, speed, times)
             for speed in speeds:
                 rig.make_room(room, maximum, acceleration)
                 # With a d-axis current the phase currents are rarely near zero, where the dead-time voltage is
