@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from servo_bridge.freemaster.frames import encode_request, encode_uleb
+from servo_bridge.freemaster.frames import V4, encode_uleb
 from servo_msgs_py.text_file import read_toml
 from servo_tuning.reading import SERVO_TOML
 from servo_twin.board import Board
@@ -35,7 +35,7 @@ def board(configuration: ServoConfig) -> Iterator[Board]:
 
 def ask(board: Board, code: int, payload: bytes) -> bytes:
     """Status and data of the answer."""
-    board.serial_in(encode_request(code, payload))
+    board.serial_in(V4.encode(code, payload))
     board.run(0.05)
     return board.serial_out()[1:-1].replace(b"\x2b\x2b", b"\x2b")
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_bridge.freemaster.commands import Request, ScopeSlot, read_memory, read_scope, set_scope, write_memory
-from servo_bridge.freemaster.frames import AnswerParser, encode_request
+from servo_bridge.freemaster.frames import V4, AnswerParser
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import TICK_NS
 from servo_twin.board import Board
@@ -46,7 +46,7 @@ def instants(board: Board, count: int) -> Iterator[int]:
 
 
 def send(board: Board, request: Request) -> None:
-    assert board.serial_in(encode_request(request.command, request.payload))
+    assert board.serial_in(V4.encode(request.command, request.payload))
 
 
 def changed(log: NDArray[np.void], axis: int, before: int) -> int:

@@ -8,11 +8,11 @@ from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.commands import ScopeSlot
 from servo_bridge.freemaster.errors import CodecError
 from servo_bridge.freemaster.frames import (
+    V4,
     Answer,
     AnswerParser,
     crc8,
     decode_uleb,
-    encode_request,
     encode_sleb,
     encode_uleb,
 )
@@ -74,11 +74,11 @@ def test_scope_set_up_matches_the_wire() -> None:
         "00 01 01 03 02 07 00 AA 80 80 80 02 02 02 07 01 A4 80 80 80 02 04 02 07 02 C0 80 80 80 02 02"
     )
     # The three frames of the reference set-up, one operation group each.
-    assert encode_request(0x26, one_frame.payload[:4]) == bytes.fromhex("2B 26 04 00 01 01 03 35")
-    assert encode_request(0x26, b"\0" + one_frame.payload[4:13]) == bytes.fromhex(
+    assert V4.encode(0x26, one_frame.payload[:4]) == bytes.fromhex("2B 26 04 00 01 01 03 35")
+    assert V4.encode(0x26, b"\0" + one_frame.payload[4:13]) == bytes.fromhex(
         "2B 26 0A 00 02 07 00 AA 80 80 80 02 02 56"
     )
-    assert encode_request(0x26, b"\0" + one_frame.payload[13:]) == bytes.fromhex(
+    assert V4.encode(0x26, b"\0" + one_frame.payload[13:]) == bytes.fromhex(
         "2B 26 13 00 02 07 01 A4 80 80 80 02 04 02 07 02 C0 80 80 80 02 02 5B"
     )
 
@@ -133,9 +133,9 @@ def test_truncated_numbers_are_errors(cut: bytes) -> None:
 
 def test_invalid_requests_are_refused() -> None:
     with pytest.raises(CodecError):
-        encode_request(0x2B)
+        V4.encode(0x2B)
     with pytest.raises(CodecError):
-        encode_request(0x21, bytes(254))
+        V4.encode(0x21, bytes(254))
     with pytest.raises(CodecError):
         encode_uleb(-1)
     with pytest.raises(CodecError):
@@ -148,7 +148,7 @@ def test_invalid_requests_are_refused() -> None:
 
 @given(st.integers(0, 255).filter(lambda c: c != 0x2B), st.binary(max_size=253))
 def test_request_is_doubled_after_the_start_only(command: int, payload: bytes) -> None:
-    wire = encode_request(command, payload)
+    wire = V4.encode(command, payload)
     body = bytes([command, len(payload)]) + payload
     assert wire == escaped(body + bytes([checksum(body)]))
 

@@ -13,7 +13,7 @@ from fake_transport import FakeTransport, client_on
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.commands import ScopeSlot
 from servo_bridge.freemaster.errors import FreemasterError, RecorderError, StatusError
-from servo_bridge.freemaster.frames import encode_request
+from servo_bridge.freemaster.frames import V4
 from servo_bridge.freemaster.recorder import (
     Compare,
     SampleMemory,
@@ -185,7 +185,7 @@ def test_invalid_memory_is_refused() -> None:
 
 def test_set_up_matches_the_wire() -> None:
     """Frames of a vendor target, with all operations in one frame."""
-    head = encode_request(0x24, b"\x00")[:2]
+    head = V4.encode(0x24, b"\x00")[:2]
     setup = Setup(
         (ScopeSlot(0x20000038, 4), ScopeSlot(0x2000003C, 2)), 20, 5, 1,
         Trigger(ScopeSlot(0x2000003C, 2), Compare.SIGNED, True, False, -100),
@@ -203,13 +203,13 @@ def test_set_up_matches_the_wire() -> None:
         ),
         252,
     )
-    assert encode_request(0x24, request.payload + b"\x03\x00") == bytes.fromhex(
+    assert V4.encode(0x24, request.payload + b"\x03\x00") == bytes.fromhex(
         "2B 24 23 00 01 04 02 08 03 00 02 09 00 B8 80 80 80 02 04 00 00"
         "02 0D 01 EC 80 80 80 02 04 17 80 80 A2 96 04 03 00 F6"
     )
     below = Trigger(ScopeSlot(0x2000003C, 2), Compare.SIGNED, False, True, threshold_address=0x20000066)
     (request,) = set_up(0, Setup((ScopeSlot(0x2000003C, 2),), 8, 3, 1, below), 252)
-    assert encode_request(0x24, request.payload + b"\x03\x00") == bytes.fromhex(
+    assert V4.encode(0x24, request.payload + b"\x03\x00") == bytes.fromhex(
         "2B 24 18 00 01 04 01 08 03 00 02 0D 00 BC 80 80 80 02 02 A2 E6 80 80 80 02 03 00 9C"
     )
 

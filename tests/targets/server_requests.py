@@ -8,7 +8,7 @@ from typing import Final
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.commands import Command, ScopeSlot
-from servo_bridge.freemaster.frames import encode_request, encode_sleb, encode_uleb
+from servo_bridge.freemaster.frames import V4, encode_sleb, encode_uleb
 
 from targets.rig import Rig
 
@@ -46,15 +46,15 @@ def _configuration() -> Iterator[bytes]:
     for key in ("MTU", "VS", "NM", "DS", "BD", "F1", "BA", "RC", "SC", "PV", "PC", "XX"):
         yield commands.get_config(key).frame
     for index in (3, -1, 2**31 - 1):
-        yield encode_request(Command.GETCONFIG, encode_sleb(index))
-    yield encode_request(Command.GETCONFIG)
-    yield encode_request(Command.GETCONFIG, b"\x00PV")
+        yield V4.encode(Command.GETCONFIG, encode_sleb(index))
+    yield V4.encode(Command.GETCONFIG)
+    yield V4.encode(Command.GETCONFIG, b"\x00PV")
 
 
 def _table(rig: Rig) -> Iterator[bytes]:
     for index in (0, 1):
         yield commands.get_tsa_info(index).frame
-    yield encode_request(Command.GETTSAINFO, _UNENDING)
+    yield V4.encode(Command.GETTSAINFO, _UNENDING)
     size = _ENTRY_SIZE * len(rig.entries)
     for offset in range(0, size, _CHUNK):
         yield commands.read_memory(TABLE + offset, min(_CHUNK, size - offset)).frame
@@ -62,7 +62,7 @@ def _table(rig: Rig) -> Iterator[bytes]:
         yield commands.get_string_length(address).frame
         yield commands.read_memory(address, 16).frame
     yield commands.read_memory(STRINGS, 3).frame
-    yield encode_request(Command.GETSTRLEN, _UNENDING)
+    yield V4.encode(Command.GETSTRLEN, _UNENDING)
 
 
 def _memory(rig: Rig) -> Iterator[bytes]:
@@ -70,17 +70,17 @@ def _memory(rig: Rig) -> Iterator[bytes]:
     yield commands.read_memory(rig.address("snapshot"), 30).frame
     for address, size in ((VARIABLES, 252), (0xFFFFFFFF, 4), (TABLE, 253), (TABLE, 2**16), (TABLE, 0)):
         yield commands.read_memory(address, size).frame
-    yield encode_request(Command.READMEM, encode_uleb(speed) + _UNENDING)
+    yield V4.encode(Command.READMEM, encode_uleb(speed) + _UNENDING)
     for offset, size in ((-1, 4), (4, 2**32 - 1), (4, 4)):
-        yield encode_request(_READ_FROM_BASE, encode_sleb(offset) + encode_uleb(size))
+        yield V4.encode(_READ_FROM_BASE, encode_sleb(offset) + encode_uleb(size))
     for data, mask in ((bytes(8), b"\x00\xff\x00\xff" + bytes(4)), (b"++++++++", bytes(8)), (b"++++++++", None)):
         yield commands.write_memory(speed, data, mask).frame
         yield commands.read_memory(speed, 8).frame
     yield commands.write_memory(position, bytes(4)).frame
     whole = b"\x00" + encode_uleb(speed) + encode_uleb(8)
-    yield encode_request(Command.WRITEMEM, whole + bytes(7))
-    yield encode_request(Command.WRITEMEM, b"\x01" + whole[1:] + bytes(15))
-    yield encode_request(Command.WRITEMEM, whole[:2])
+    yield V4.encode(Command.WRITEMEM, whole + bytes(7))
+    yield V4.encode(Command.WRITEMEM, b"\x01" + whole[1:] + bytes(15))
+    yield V4.encode(Command.WRITEMEM, whole[:2])
 
 
 def _pipe() -> Iterator[bytes]:
@@ -89,16 +89,16 @@ def _pipe() -> Iterator[bytes]:
         yield log_request(number)
     yield log_request(5)  # repeated
     for payload in (b"", b"\x01", b"\x02\x00", b"\x01\x00text"):
-        yield encode_request(Command.PIPE, payload)
+        yield V4.encode(Command.PIPE, payload)
     for payload in (b"", b"\x01\x01\x81", b"\x00\x00\x82", b"\x01\x02\x81", b"\x00\x01\x81"):
-        yield encode_request(_GETPIPE, payload)
-    yield encode_request(Command.AUTH1, b"\x03")
-    yield encode_request(Command.AUTH2, b"\x03" + bytes(20))
+        yield V4.encode(_GETPIPE, payload)
+    yield V4.encode(Command.AUTH1, b"\x03")
+    yield V4.encode(Command.AUTH2, b"\x03" + bytes(20))
 
 
 def log_request(number: int) -> bytes:
     """Request of the log with the toggle bit of its number; acknowledges all received bytes."""
-    return encode_request(Command.PIPE, bytes((1 | (number & 1) << 7, 0xFF)))
+    return V4.encode(Command.PIPE, bytes((1 | (number & 1) << 7, 0xFF)))
 
 
 def _scope(rig: Rig) -> Iterator[bytes]:
@@ -118,17 +118,17 @@ def _scope(rig: Rig) -> Iterator[bytes]:
         (2, b"\x00" + encode_uleb(0x500) + b"\x04"),
         (9, b""),
     ):
-        yield encode_request(Command.SETSCOPE, bytes((0, operation, len(operand))) + operand)
-    yield encode_request(Command.SETSCOPE, b"\x00\x02\x09")
-    yield encode_request(Command.SETSCOPE)
-    yield encode_request(Command.READSCOPE)
+        yield V4.encode(Command.SETSCOPE, bytes((0, operation, len(operand))) + operand)
+    yield V4.encode(Command.SETSCOPE, b"\x00\x02\x09")
+    yield V4.encode(Command.SETSCOPE)
+    yield V4.encode(Command.READSCOPE)
 
 
 def _recorder(rig: Rig) -> Iterator[bytes]:
     """Slots, triggers, samples and refusals of both recorders."""
 
     def setting(recorder: int, *operations: bytes) -> bytes:
-        return encode_request(_SETREC, bytes([recorder]) + b"".join(operations))
+        return V4.encode(_SETREC, bytes([recorder]) + b"".join(operations))
 
     def operation(code: int, data: bytes = b"") -> bytes:
         return bytes([code, len(data)]) + data
@@ -139,7 +139,7 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
 
     start, stop = operation(3), operation(4)
     for payload in (b"", b"\x02", b"\x00\x05\x00", b"\x00\x03\x01", b"\x00" + start, b"\x00" + stop):
-        yield encode_request(_SETREC, payload)
+        yield V4.encode(_SETREC, payload)
     for payload in (
         b"",
         b"\x00",
@@ -151,7 +151,7 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
         b"\x01\x84",
         b"\x00\x82",
     ):
-        yield encode_request(_GETREC, payload)
+        yield V4.encode(_GETREC, payload)
     yield setting(0, operation(1, b"\x09\x14\x05\x00"))
     yield setting(0, operation(1, b"\x01\x14\x05\x00"), variable(1, "tick"))
     yield setting(0, operation(2, b"\x00" + encode_uleb(VARIABLES - 4) + b"\x04\x00\x00"))
@@ -176,9 +176,9 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
         yield setting(1 - recorder, operation(1, b"\x01\x14\x05\x00"))
         yield commands.read_memory(SAMPLES, 4).frame
         for _ in range(4):
-            yield encode_request(_GETREC, bytes([recorder, 0x83]))
+            yield V4.encode(_GETREC, bytes([recorder, 0x83]))
         yield setting(recorder, stop)
-        yield encode_request(_GETREC, bytes([recorder, 0x83]))
+        yield V4.encode(_GETREC, bytes([recorder, 0x83]))
         for offset in (0, 240):
             yield commands.read_memory(SAMPLES + offset, 240).frame
     # A memory that is full after a short time; the level triggers at once, and points follow.
@@ -186,7 +186,7 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
         0, operation(1, b"\x02\x06\x02\x00"), variable(0, "tick", b"\x51\x00"), variable(1, "u_dc_now"), start
     )
     for _ in range(8):
-        yield encode_request(_GETREC, b"\x00\x83")
+        yield V4.encode(_GETREC, b"\x00\x83")
     yield commands.read_memory(SAMPLES, 48).frame
     yield setting(0, operation(1, b"\x01\x06\x02\x00"), start)
     yield setting(0, variable(0, "tick", b"\x04\x00"), start)
@@ -197,7 +197,7 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
         yield setting(1, operation(1, b"\x02\x06\x02\x00"), operation(2, b"\x00" + wide + b"\x08" + trigger))
         yield setting(1, operation(2, b"\x01" + part + b"\x02\x11\x00"), start)
         for _ in range(3):
-            yield encode_request(_GETREC, b"\x01\x83")
+            yield V4.encode(_GETREC, b"\x01\x83")
         yield setting(1, stop)
         yield commands.read_memory(SAMPLES, 60).frame
     yield setting(0, operation(1, b"\x02\x05\x02\x00"), operation(2, b"\x00" + tick + b"\x04\x41\x00"))
@@ -216,7 +216,7 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
     yield setting(0, operation(1, b"\x01\x00\x7f\x00"), variable(0, "axis1.i_a", b"\x04\x00"), start)
     yield setting(0, operation(1, b"\x01\x00" + encode_uleb(2**20) + b"\x00"), variable(0, "axis1.i_a"))
     for what in (0x84, 0x83):
-        yield encode_request(_GETREC, bytes([0, what]))
+        yield V4.encode(_GETREC, bytes([0, what]))
     for name, size in (("axis1.i_a", 2), ("u_dc_now", 4), ("u_dc_now", 3), ("axis1.i_a", 4)):
         yield commands.read_memory(rig.address(name), size).frame
     yield setting(0, operation(1, b"\x03\x0a\x00\x01"), *(variable(k, "axis1.i_a") for k in range(3)), start)
@@ -230,10 +230,10 @@ def _commands() -> Iterator[bytes]:
         yield commands.get_command_data(8).frame
     for size in (3, 253, 2**16):
         yield commands.get_command_data(size).frame
-    yield encode_request(Command.GETAPPCMDDATA, _UNENDING)
-    yield encode_request(Command.SENDAPPCMD)
-    yield encode_request(Command.SENDAPPCMD, b"\xff")
-    yield encode_request(Command.SENDAPPCMD, b"\x03" + bytes(200))
+    yield V4.encode(Command.GETAPPCMDDATA, _UNENDING)
+    yield V4.encode(Command.SENDAPPCMD)
+    yield V4.encode(Command.SENDAPPCMD, b"\xff")
+    yield V4.encode(Command.SENDAPPCMD, b"\x03" + bytes(200))
     yield commands.send_command(3).frame
     yield commands.send_command(1).frame  # while a command is pending
     yield commands.get_command_data(8).frame
@@ -247,4 +247,4 @@ def _line() -> Iterator[bytes]:
     yield bytes(1) * 64
     yield b"+\x21\xff" + bytes(8)
     yield commands.get_config("PV").frame * 2  # the second while the first is answered
-    yield encode_request(0x77)
+    yield V4.encode(0x77)

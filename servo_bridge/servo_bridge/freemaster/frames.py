@@ -102,11 +102,6 @@ V4: Final = Framing(crc8, 0x100)
 V3: Final = Framing(negated_sum, 0xC0, (Status.RECORDER_RUNNING, Status.RECORDER_STOPPED))
 
 
-def encode_request(command: int, payload: bytes = b"") -> bytes:
-    """Encode a request of version 4; see `Framing.encode`."""
-    return V4.encode(command, payload)
-
-
 def encode_uleb(value: int) -> bytes:
     """Encode unsigned LEB128 in the shortest form.
 

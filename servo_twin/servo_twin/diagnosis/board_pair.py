@@ -14,7 +14,6 @@ import numpy as np
 from servo_msgs_py.board_port import reached
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
-from servo_msgs_py.timed_points import TimedPoint, axes_of_points, encode_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_msgs_py import topics
@@ -96,12 +95,6 @@ class SampledBoard(ABC):
         raw = tuple(self._catalogue[variable].to_raw(x) if mask >> n & 1 else 0 for n, x in enumerate(values))
         self.real.write(variable, raw, mask)
         self._written.append((variable, raw, mask))
-
-    def write_points(self, points: Sequence[TimedPoint]) -> None:
-        """Write timed points; the next sample reports the effect."""
-        words = tuple(encode_points(self._catalogue, points))
-        self.real.write_first("cmd.points", words)
-        self._written.append(("cmd.points", words, axes_of_points(words)))
 
     def sample(self) -> list[Pair]:
         """Run the real board to its next sample and pass it on; returns the new pairs with a twin, if there is one."""
