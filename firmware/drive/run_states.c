@@ -281,7 +281,7 @@ static void test_stall(axis_t *axis)
 }
 
 /* Finding at the end of a search; FINDINGS during the search. */
-static finding_t search_end(const axis_t *axis, finding_t failure)
+static finding_t search_end(axis_t *axis, finding_t failure)
 {
     switch (axis->search.phase) {
     case ROTOR_SEARCH_NO_COUNT:
@@ -293,7 +293,10 @@ static finding_t search_end(const axis_t *axis, finding_t failure)
     case ROTOR_SEARCH_NO_MOVEMENT:
         return failure;
     default:
-        return (axis->ticks > axis->config->search_ticks_max) ? failure : FINDINGS;
+        if (axis->ticks <= axis->config->search_ticks_max) {
+            return FINDINGS;
+        }
+        return rotor_search_tests_direction(&axis->search, axis->feedback.count) ? FINDINGS : failure;
     }
 }
 

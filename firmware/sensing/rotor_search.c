@@ -119,10 +119,10 @@ static void verify(rotor_search_t *search, int32_t position)
     search->ticks_at_limit = 0;
 }
 
+/* The current grows from its present value. */
 static void test_direction(rotor_search_t *search, int32_t position)
 {
     search->phase = ROTOR_SEARCH_DIRECTION;
-    search->current = 0;
     search->origin = position;
     search->timer = 0;
     search->half_turns_sum = 0;
@@ -418,6 +418,14 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
     default:
         break;
     }
+}
+
+bool rotor_search_tests_direction(rotor_search_t *search, int32_t position)
+{
+    if (search->phase != ROTOR_SEARCH_DIRECTION && search->runaways > 0U) {
+        test_direction(search, position);
+    }
+    return search->phase == ROTOR_SEARCH_DIRECTION;
 }
 
 bool rotor_search_drives(const rotor_search_t *search)

@@ -12,8 +12,9 @@
  * to the other side. The mean of both directions eliminates friction. The rotation also detects an end stop, which
  * twitches do not. With a reversed encoder the bisection ends opposite to the rotor, and the shaft runs away.
  *
- * DIRECTION: the shaft has run away repeatedly, by a reversed encoder, a load or a disturbance. The vector is rotated by
- * one and a half electrical turns: only an encoder that counts against it is reversed.
+ * DIRECTION: the shaft has run away repeatedly, or once when the time of the search is over, by a reversed encoder, a load
+ * or a disturbance. The vector is rotated by one and a half electrical turns: only an encoder that counts against it is
+ * reversed.
  *
  * TURN: if nothing moves at full current, the voltage during a wide rotation distinguishes a blocked shaft from a dead
  * encoder (rotor_follow.h).
@@ -97,6 +98,10 @@ void rotor_search_add(rotor_search_t *search, const rotor_search_config_t *confi
 
 /* One slow tick; `position` in counts. */
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position);
+
+/* The time of the search is over: a shaft that has run away is tested for the direction of the encoder. False: nothing is
+ * left to test; true until the test has ended by itself. */
+bool rotor_search_tests_direction(rotor_search_t *search, int32_t position);
 
 /* True while the current vector must be applied. */
 bool rotor_search_drives(const rotor_search_t *search);

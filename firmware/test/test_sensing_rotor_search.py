@@ -283,6 +283,27 @@ def test_encoder_that_counts_backwards_is_detected(core: Core, axis: int, inerti
         assert result.seconds < 2.6
 
 
+@pytest.mark.parametrize("phase", [PULL, BRAKE, REST, VERIFY, DIRECTION])
+def test_end_of_the_time_leaves_time_for_the_direction(core: Core, phase: int) -> None:
+    """In every phase, if the shaft has run away; before there is nothing to test."""
+    shaft = axis_shaft(1, 65.0, backwards=True)
+    ticks: list[int] = []  # phases from the end of the time on
+
+    def time_out(s: Any) -> None:
+        if s.runaways == 0:
+            assert not core.lib.rotor_search_tests_direction(s, shaft.counts)
+            assert s.phase != DIRECTION
+        elif ticks or s.phase == phase:
+            ticks.append(s.phase)
+            if s.phase != REVERSED:
+                assert core.lib.rotor_search_tests_direction(s, shaft.counts)
+
+    assert search(core, shaft, axis=1, each_tick=time_out).phase == REVERSED
+    assert ticks[0] == phase
+    assert set(ticks[1:-1]) == {DIRECTION}
+    assert len(ticks) * SLOW < 0.9
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
 @pytest.mark.parametrize("inertia", [0.3, 3.0, 30.0])
 def test_encoder_that_counts_right_is_not_called_reversed(core: Core, inertia: float, friction: float) -> None:

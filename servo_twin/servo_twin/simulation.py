@@ -16,7 +16,7 @@ from servo_twin.board import Board, SimulationError
 __all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move", "record"]
 
 _BOOT = 0.03  # reset to STOP [s]
-SEARCH_MAX = 6.0  # rotor search of both axes [s]
+SEARCH_MAX = 6.5  # rotor search of both axes [s]
 _STEP = 0.01  # polling interval of the state [s]
 
 

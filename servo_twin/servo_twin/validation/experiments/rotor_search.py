@@ -51,13 +51,13 @@ shaft, and half an interval."""
 
 VECTOR_MIN: Final = 0.1  # smallest current of a vector [A]
 BOOT_NS: Final = 60 * TICK_NS  # from reset until both axes are in STOP
-SEARCH_MAX: Final = 6.0  # largest duration of a search [s]
+SEARCH_MAX: Final = 6.5  # largest duration of a search [s]
 POLL: Final = 0.02  # polling interval of the state [s]
 DETECTION_MAX: Final = 1.5  # largest time until a search that cannot succeed ends in its fault [s]
 DETECTION_MAX_RETRY: Final = 4.0  # the same for a search with retries, each after standstill [s]
-DIRECTION_TEST: Final = 0.8
-"""Duration of the test of the encoder's direction after the retries [s]: the current grows for 0.1 s, then the vector
-rotates by three half turns of 0.23 s."""
+DETECTION_MAX_DIRECTION: Final = 5.0 + 0.9
+"""The same for an encoder that counts backwards [s]: `rotor_search.time_max`, after which only the test of the
+direction remains; there the current grows for at most 0.2 s, then the vector rotates by three half turns of 0.23 s."""
 REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; noise may give one or two zeros
 
 
@@ -85,7 +85,7 @@ SEARCH_FAULTS: Final = (
         "encoder reversed",
         "ENCODER_REVERSED",
         lambda board, axis: board.reverse_encoder(axis),
-        DETECTION_MAX_RETRY + DIRECTION_TEST,
+        DETECTION_MAX_DIRECTION,
     ),
     SearchFault(
         "shaft with play of 2 counts",
@@ -100,8 +100,8 @@ LIGHT_FRICTION: Final[Mapping[Level, float]] = {"ideal": 0.0, "registers": 0.03}
 Between two vectors the shaft must come to standstill with short-circuited windings. This brakes on the averaged plant,
 whose drops decrease with the current, but not with real drops: at 0.3 rad/s the back-EMF is about 10 mV, the drop
 1.4 V. Without Coulomb friction the time constant of the viscous friction is 0.8 s for each of the 18 vectors for the
-detection of a reversed encoder, and the search ends after 5 s (ROTOR_SEARCH). With this fraction of the friction the
-shaft is at standstill within 0.1 s.
+detection of a reversed encoder, and the search ends after 5 s, perhaps without a result (ROTOR_SEARCH). With this
+fraction of the friction the shaft is at standstill within 0.1 s.
 """
 TWITCHING: Final = SearchFault(
     "shaft between two stops",
