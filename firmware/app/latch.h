@@ -14,6 +14,7 @@ typedef struct {
     uint16_t points; /* number of written timed points */
     bool commands; /* a command was written */
     bool parameters; /* a parameter was written */
+    bool renewed; /* the board itself has changed the parameters */
 } latch_marks_t;
 
 void latch_reset(latch_marks_t *marks);
@@ -21,7 +22,7 @@ void latch_reset(latch_marks_t *marks);
 /* Mark the writes in [offset, offset + size) of the command block. */
 void latch_mark(latch_marks_t *marks, uint16_t offset, uint16_t size);
 
-/* Apply the writes to the axes and clear the marks. True if a command has taken effect. */
+/* Apply the writes to the axes and clear the marks. True if a command or a parameter has taken effect. */
 bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_block_t *parameter, axis_t *axes);
 
 #endif

@@ -61,7 +61,7 @@ void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
     servo->applied_count = 0;
     servo->locked = false;
     latch_reset(&servo->marks);
-    servo->marks.parameters = true;
+    servo->marks.renewed = true;
     servo->host_commands = 0;
     servo->host_commands_seen = 0;
     servo->host_idle_ticks = 0;
@@ -93,7 +93,7 @@ static void take_blocks(servo_t *servo)
     if (config_blocks_latch(&servo->config_blocks, status, &servo->parameter, &servo->nominal, servo->axis)) {
         note_applied(servo);
         status->taken_tick = servo->applied_tick;
-        servo->marks.parameters = true;
+        servo->marks.renewed = true;
         storage_note_change(&servo->storage);
     }
 }
@@ -107,7 +107,7 @@ static void latch_commands(servo_t *servo)
         take_blocks(servo);
         return;
     }
-    if (servo->marks.parameters) {
+    if (servo->marks.parameters || servo->marks.renewed) {
         parameters_of_board(&servo->settings, &servo->parameter);
     }
     if (latch_apply(&servo->marks, &servo->command, &servo->parameter, servo->axis)) {

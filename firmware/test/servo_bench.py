@@ -96,7 +96,7 @@ class Bench:
 
     def slow(self, ticks: int = 1) -> None:
         """Run slow ticks, each until just after its snapshot. Parameters that the test wrote to memory are applied."""
-        self.servo.marks.parameters = True
+        self.servo.marks.renewed = True
         for _ in range(ticks):
             self.ticks += 1
             for i in range(2):

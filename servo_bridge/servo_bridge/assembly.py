@@ -115,7 +115,7 @@ class Assembly:
         self.slow = SlowValues(
             context, self._on_motors, lambda found: self.publications.windings([each.temperature for each in found])
         )
-        self.parameters = ParameterSync(context, link.write_raw, self._on_parameters)
+        self.parameters = ParameterSync(context, lambda *write: self.dispatcher.parameter(*write), self._on_parameters)
         self.parameters.request(settings.board_parameters)
         self.events = SnapshotEvents(
             catalogue,

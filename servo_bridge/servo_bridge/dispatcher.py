@@ -1,14 +1,14 @@
 """Sends command writes one at a time and confirms each by `applied_count` and `applied_tick` in the telemetry.
 
 A write is confirmed when the telemetry shows one more applied write; the `applied_tick` of that sample is then the
-exact tick of this write, so a twin can replay it. Urgent writes (enable, stop, clear) precede set-points. The arbiter
-puts set-points into a `SetPointQueue`, the dispatcher removes them. The link is a parameter.
+exact tick of this write, so a twin can replay it. Urgent writes (enable, stop, clear) precede parameters, which precede
+set-points. The arbiter puts set-points into a `SetPointQueue`, the dispatcher removes them. The link is a parameter.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 
@@ -63,6 +63,7 @@ class Dispatcher(Part):
         self._set_points = set_points
         self._on_trouble = on_trouble
         self._urgent: deque[_Item] = deque()
+        self._parameters: deque[_Item] = deque()
         self._pending: _Item | None = None
         self._count: int | None = None
         self._open = False
@@ -86,26 +87,34 @@ class Dispatcher(Part):
     def lost(self, reason: str) -> None:
         """Stop sending and discard all pending writes; the futures of urgent writes fail with `reason`."""
         self._open = False
-        items = ([self._pending] if self._pending is not None else []) + list(self._urgent)
+        items = ([self._pending] if self._pending is not None else []) + [*self._urgent, *self._parameters]
         self._pending = None
         self._urgent.clear()
+        self._parameters.clear()
         for item in items:
             _fail(item, reason)
 
     def urgent(self, write: CommandWrite) -> Future[int]:
-        """Queue a write that precedes all set-points.
+        """Queue a write that precedes all others.
 
         Returns
         -------
         Future
             The tick of its effect, or a `ConnectionError` with the reason.
         """
+        return self._queued(write, self._urgent)
+
+    def parameter(self, variable: str, raw: Sequence[int]) -> Future[int]:
+        """Queue a write of all elements of a parameter, which precedes all set-points; returns as `urgent`."""
+        return self._queued(CommandWrite(variable, 0, tuple(raw)), self._parameters)
+
+    def _queued(self, write: CommandWrite, queue: deque[_Item]) -> Future[int]:
         item = _Item(write, Future())
         assert item.done is not None
         if not self._open:
             _fail(item, "not connected")
         else:
-            self._urgent.append(item)
+            queue.append(item)
             self.pump()
         return item.done
 
@@ -113,8 +122,8 @@ class Dispatcher(Part):
         """Send the next write if none is pending."""
         if not self._open or self._pending is not None or self._count is None:
             return  # without a first sample the effect of a write cannot be detected
-        if self._urgent:
-            item = self._urgent.popleft()
+        if queue := self._urgent or self._parameters:
+            item = queue.popleft()
         else:
             write = self._set_points.next_write()
             if write is None:

@@ -27,7 +27,7 @@ _TAKE = "config.take"
 
 @dataclass(frozen=True)
 class CommandWrite:
-    """Write of neighbouring elements of a command variable, of timed points, or of ``config.take``."""
+    """Write of neighbouring elements of a command variable or a parameter, of timed points, or of ``config.take``."""
 
     variable: str  # name of the array variable
     first: int  # axis of the first element; 0 for points and blocks

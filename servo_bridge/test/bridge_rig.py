@@ -101,11 +101,9 @@ class FakeLink:
             done.set_exception(LinkDownError("no link"))
         else:
             self.written.append((name, first, tuple(raw)))
-            if name in self.parameters:
-                if name != self.rejected_parameter:
-                    self.parameters[name] = list(raw)
-                done.set_result(None)
-            elif not self.ignores_writes:
+            if name in self.parameters and name != self.rejected_parameter:
+                self.parameters[name] = list(raw)
+            if name in self.parameters or not self.ignores_writes:
                 self._effects += 1
                 done.set_result(None)
         return done
@@ -275,6 +273,15 @@ class Rig:
         while not condition():
             assert time.monotonic() < deadline, f"not within {timeout} s"
             self.executor.spin_once(timeout_sec=0.01)
+
+    def until_sampled(self, condition: Callable[[], object]) -> None:
+        """Deliver samples until the condition holds."""
+
+        def sampled() -> object:
+            self.link.sample()
+            return condition()
+
+        self.until(sampled)
 
     @contextlib.contextmanager
     def samples(self, before_sample: Callable[[], None] = lambda: None) -> Iterator[None]:

@@ -107,6 +107,23 @@ def test_urgent_writes_precede_set_points_and_report_their_tick() -> None:
     assert ENABLE not in rig.queue.taken
 
 
+def test_parameters_wait_for_urgent_writes_but_not_for_set_points() -> None:
+    rig = Rig(position(1), position(2)).connected()
+    done = rig.dispatcher.parameter("param.host_timeout", [5])
+    stop = CommandWrite("cmd.quick_stop", 0, (1, 1))
+    rig.dispatcher.urgent(stop)
+    parameter = CommandWrite("param.host_timeout", 0, (5,))
+    for number in range(1, 4):
+        rig.dispatcher.acknowledged(rig.sent[-1], None)
+        rig.dispatcher.confirm(16 * number, 16 * number - 8, number)
+    assert rig.sent == [position(1), stop, parameter, position(2)]
+    assert done.result(0) == 40
+    waiting = rig.dispatcher.parameter("param.brake", [1])
+    rig.dispatcher.lost("unplugged")
+    with pytest.raises(ConnectionError, match="unplugged"):
+        waiting.result(0)
+
+
 def test_urgent_writes_keep_their_order() -> None:
     rig = Rig().connected()
     release = CommandWrite("cmd.quick_stop", 0, (0, 0))

@@ -470,17 +470,21 @@ def test_requested_parameters_are_written_at_the_connection_and_when_they_change
     with Rig(board_parameters=["param.features[1]=DEAD_TIME+FRICTION", "param.i_q_limit=1.0,1.5"]) as rig:
         before = rig.link.parameters["param.features"][0]
         rig.connect()
-        rig.until(lambda: rig.parameters() and rig.parameters()["param.features"] == [before, 0b11000])
+        rig.until_sampled(lambda: rig.parameters() and rig.parameters()["param.features"] == [before, 0b11000])
         limits = [value("param.i_q_limit", raw) for raw in rig.parameters()["param.i_q_limit"]]
         assert limits == pytest.approx([1.0, 1.5], abs=1e-3)
         assert [name for name, _, _ in rig.link.written] == ["param.i_q_limit", "param.features"]
-        rig.until(lambda: any("param.features: " in t and "DEAD_TIME+FRICTION)" in t for t in rig.logs(0)))
+        assert [(one.variable, one.mask) for one in rig.applied()[-2:]] == [
+            ("param.i_q_limit", 3),
+            ("param.features", 3),
+        ]
+        rig.until_sampled(lambda: any("param.features: " in t and "DEAD_TIME+FRICTION)" in t for t in rig.logs(0)))
         assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
-        rig.until(lambda: rig.parameters()["param.features"] == [0b10000, 0b11000])
+        rig.until_sampled(lambda: rig.parameters()["param.features"] == [0b10000, 0b11000])
         rig.link.parameters["param.features"] = [0, 0]
         rig.link.disconnect()
         rig.connect()
-        rig.until(lambda: rig.parameters()["param.features"] == [0b10000, 0])
+        rig.until_sampled(lambda: rig.parameters()["param.features"] == [0b10000, 0])
 
 
 @pytest.mark.parametrize(
@@ -518,7 +522,7 @@ def test_requested_parameters_that_the_board_refuses_are_an_error() -> None:
         assert (status.level, "no motion would be possible" in status.message) == (b"\x01", True)
         rig.link.rejected_parameter = "param.features"
         assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
-        rig.until(lambda: any("the board has another value" in text for text in rig.logs()))
+        rig.until_sampled(lambda: any("the board has another value" in text for text in rig.logs()))
 
 
 def test_invalid_board_parameters_prevent_the_start() -> None:

@@ -10,6 +10,7 @@ import math
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -232,13 +233,13 @@ def parameters_from_message(message: Float64MultiArray, catalogue: Catalogue) ->
 # ---- commands that took effect
 @dataclass(frozen=True)
 class AppliedCommand:
-    """A write to a command variable that was applied in the firmware."""
+    """A write to a command variable or a parameter that was applied in the firmware."""
 
-    variable: str  # one of `COMMAND_VARIABLES`
+    variable: str  # one of `COMMAND_VARIABLES`, or a parameter
     tick: int  # PWM periods since reset at which it was applied, extended past 32 bits like the tick of the telemetry
     raw: tuple[int, ...]
-    """Firmware integers by axis, 0 for an axis that was not written; for ``cmd.points`` the written words, for
-    ``config.take`` the members of the blocks of the axes in `mask`."""
+    """Firmware integers by axis, 0 for an axis that was not written, and after that of a scalar; for ``cmd.points`` the
+    written words, for ``config.take`` the members of the blocks of the axes in `mask`."""
     mask: int  # bit per written axis; bit 0 is axis 1
 
 
@@ -260,12 +261,17 @@ def applied_from_message(message: Int64MultiArray) -> AppliedCommand:
         If the format is wrong.
     """
     name = ",".join(dim.label for dim in message.layout.dim)
-    if name not in COMMAND_VARIABLES:
+    if name not in COMMAND_VARIABLES and name not in _parameter_names():
         raise ValueError(f"{COMMANDS_APPLIED}: {name!r} is not a command; use the same version everywhere")
     tick, mask, *raw = message.data.tolist() if len(message.data) >= _APPLIED_HEAD else (0, 0)
     if not (0 < mask < 1 << AXES and _valid_length(name, len(raw), mask)):
         raise ValueError(f"{COMMANDS_APPLIED}: {name} has {len(raw)} values for the axes of mask {mask}")
     return AppliedCommand(name, tick, tuple(raw), mask)
+
+
+@cache
+def _parameter_names() -> frozenset[str]:
+    return frozenset(variable.name for variable in parameters(Catalogue.load()))
 
 
 def _valid_length(name: str, count: int, mask: int) -> bool:

@@ -102,7 +102,7 @@ COMMAND_VARIABLES: Final = (
     "cmd.home_position",
     "cmd.home",
 )
-"""Command variables; the bridge does not write ``cmd.test_*``."""
+"""Command variables; the bridge does not write ``cmd.test_*``. Parameters take effect at a tick like commands."""
 
 
 def variable_topic(name: str, joints: Sequence[str] = ()) -> str:

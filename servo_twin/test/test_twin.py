@@ -145,6 +145,19 @@ class TestParameters:
         follows(rig, rig.move([1.0, -1.0]))
         assert rig.twin.synchronisations == 1
 
+    def test_a_reported_write_of_parameters_in_motion_keeps_the_boards_equal(self) -> None:
+        with TwinRig(real_seed=7, twin_seed=7) as rig:
+            rig.enable_axes()
+            rig.move([20.0, -20.0], 0.2)
+            rig.write_parameters("param.speed_limit=80,90", "param.i_q_limit=1.0,1.5", "param.host_timeout=2.0")
+            rig.move([0.0, 5.0], 1.0)
+            assert rig.twin.synchronisations == 1
+            assert rig.twin.status == ""
+            assert max(abs(pair.real["axis2.speed"]) for pair in rig.pairs[-60:]) < 100.0
+            for pair in rig.pairs:
+                for name, value in pair.twin.items():
+                    assert value == pair.real[name], (pair.tick, name)
+
     def test_changed_parameters_resynchronise_at_rest(self, rig: TwinRig) -> None:
         rig.enable_axes()
         rig.move([20.0, -20.0], 0.2)

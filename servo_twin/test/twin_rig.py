@@ -122,6 +122,17 @@ class TwinRig:
         if report:
             self.twin.set_parameters(present)
 
+    def write_parameters(self, *texts: str) -> None:
+        """Set parameters of the real board as the bridge does: written like commands, then read and reported."""
+        present = {v.name: self.board.read_words(v.name) for v in parameters(CATALOGUE)}
+        for name, raw in applied([parse(text, CATALOGUE) for text in texts], present).items():
+            self.board.write_raw(name, raw)
+            padded = (*raw, *[0] * (AXES - len(raw)))
+            self._written.append((name, padded, (1 << len(raw)) - 1))
+            present[name] = raw
+        self.sample()
+        self.twin.set_parameters(present)
+
     def run(self, seconds: float) -> list[Pair]:
         """Run the real board with samples; return the pairs of the twin."""
         before = len(self.pairs)

@@ -15,6 +15,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any, Final, TypeVar
 
+from servo_msgs_py.board_parameters import PREFIX
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 from servo_msgs_py.topics import COMMAND_VARIABLES
 
@@ -212,12 +213,13 @@ class Link:
         """Write neighbouring elements of a variable as firmware integers; see `write`."""
         variable = self._known(name)
         offset, data = variable.encode_part(raw, first)
-        lengthy = name in COMMAND_VARIABLES  # the board counts and executes every received write
+        command = name in COMMAND_VARIABLES
+        lengthy = command or name.startswith(PREFIX)  # the board counts and executes every received write
 
         def run(session: Session) -> None:
             session.write_contract(variable, data, offset, lengthy=lengthy)
             self._statistics.wrote()
-            if lengthy and self._keep_alive is not None:
+            if command and self._keep_alive is not None:
                 self._keep_alive.commanded()
 
         job = Job(run, write=True)

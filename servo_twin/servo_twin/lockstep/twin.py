@@ -11,7 +11,7 @@ a constant offset, which is added to the outputs of the twin and subtracted from
 is determined again, because both boards ramp down independently.
 
 The parameters of the real board, which may have been changed at run time, are written to the twin's board at each
-synchronisation; a change of the parameters triggers a new synchronisation.
+synchronisation. A reported write of a parameter is repeated at its tick; another change triggers a new synchronisation.
 """
 
 from __future__ import annotations
@@ -119,6 +119,7 @@ class Twin:
         self._replica: Replica | None = None
         self._shift = 0
         self._axes = [AxisAlignment(axis, self._catalogue) for axis in range(AXES)]
+        self._parameter_names = frozenset(variable.name for variable in parameters(self._catalogue))
         self._parameters: RawParameters | None = None
         self._cause = ""  # reason for a pending synchronisation
         self._in_force: RawParameters = {}  # parameters of the twin's board, in coordinates of the real board
@@ -136,8 +137,12 @@ class Twin:
     def set_parameters(self, values: RawParameters) -> None:
         """Set the parameters of the real board; synchronises again if the twin's board has others."""
         self._parameters = values
-        if self._replica is not None and values != self._in_force:
-            changed = ", ".join(name for name in values if values[name] != self._in_force.get(name))
+        present = dict(self._in_force)
+        for command in self._commands.until(_FOREVER):
+            if command.variable in self._parameter_names:
+                present[command.variable] = self._parameter(command)
+        if self._replica is not None and values != present:
+            changed = ", ".join(name for name in values if values[name] != present.get(name))
             self._cause = f"changed parameters of the board: {changed}"
             self.resync(self._cause)
 
@@ -429,6 +434,10 @@ class Twin:
                 repeat_blocks(replica, command)
                 taken = True
                 continue
+            if command.variable in self._parameter_names:
+                self._in_force = {**self._in_force, command.variable: self._parameter(command)}
+                self._set_parameters(replica)
+                continue
             axes = sum(axis.repeat(replica, command) << number for number, axis in enumerate(self._axes))
             if axes:
                 counts = [-axis.offset for axis in self._axes]
@@ -437,6 +446,9 @@ class Twin:
         if taken:
             self._note_torque(replica)
             self._check_blocks(replica)
+
+    def _parameter(self, command: AppliedCommand) -> list[int]:
+        return list(command.raw[: self._catalogue[command.variable].count])
 
     def _check_blocks(self, replica: Replica) -> None:
         """Synchronise again if the twin's board has refused the blocks, which it does during a motion."""
@@ -447,6 +459,8 @@ class Twin:
     def _remember(self, command: AppliedCommand) -> None:
         if command.variable == TAKE:
             self._blocks |= blocks_of(command)
+            return
+        if command.variable in self._parameter_names:
             return
         for axis in self._axes:
             axis.remember(command)
