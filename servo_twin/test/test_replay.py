@@ -74,6 +74,21 @@ def test_an_equal_board_repeats_the_run_bit_for_bit(equal: Path, capsys: pytest.
     assert result["verdict"].startswith("identical bit for bit over")
 
 
+def test_parameters_written_in_motion_are_repeated_at_their_tick(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def limit(run: SimulatedRun) -> None:
+        run.write("param.i_q_limit", [0.6, 0.8])
+        run.sample()
+        run.report_parameters()
+
+    record(tmp_path / "run.mcap", change=limit, after=2.0)
+    result = replay(tmp_path / "run.mcap", capsys, status=0)
+    (stretch,) = result["stretches"]
+    assert stretch["exact"]
+    assert stretch["to"]["time"] > 6.0
+
+
 def test_the_first_sample_after_a_change_is_named_with_its_cause(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

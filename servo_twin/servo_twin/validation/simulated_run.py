@@ -71,10 +71,14 @@ class SimulatedRun(SampledBoard):
             virtual = VirtualBoard(level=board.level, seed=seed, plant=board.plant.text(), build=board.build)
             document = RunInfo(catalogue=f"{board.catalogue.hash:08X}", tick_ns=PERIOD_NS, virtual_board=virtual)
             self._write(topics.RUN_INFO, String(data=document.text()), latched=True)
-        present = {v.name: board.read_words(v.name) for v in parameters(board.catalogue)}
-        self._write(topics.PARAMETERS, parameters_message(present, board.catalogue), latched=True)
+        self.report_parameters()
         table, chosen = AxisConfigTable.load(), servo or ServoConfig.of_table(servo_table())
         self._write(topics.TUNING, blocks_message([table.block(words) for words in chosen.blocks]), latched=True)
+
+    def report_parameters(self) -> None:
+        """Record the parameters of the board, as the bridge does after it has written some."""
+        present = {v.name: self.board.read_words(v.name) for v in parameters(self.board.catalogue)}
+        self._write(topics.PARAMETERS, parameters_message(present, self.board.catalogue), latched=True)
 
     def close(self) -> None:
         self._writer.close()
