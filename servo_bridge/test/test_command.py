@@ -16,6 +16,7 @@ from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
 from sensor_msgs.msg import JointState
 from servo_bridge.command import main
 from servo_bridge.commander import Commander
+from servo_bridge.set_points import Mode
 from servo_bridge.wire.link_state import LinkState
 from servo_msgs_py.runtime.qos import command_qos
 
@@ -108,7 +109,7 @@ def test_state_names_parameters_refused_by_the_board(rig: Rig, command: Command)
     rig.connect(STOP, STOP)
     rig.link.rejected_parameter = "param.over_speed"
     assert rig.set_parameter("board_parameters", ["param.over_speed[0]=300"])[0]
-    rig.until(lambda: any("param.over_speed is" in text for text in rig.logs()))
+    rig.until_sampled(lambda: any("param.over_speed is" in text for text in rig.logs()))
     status, out, _ = command("state")
     rig.link.rejected_parameter = ""
     assert status == 0
@@ -297,7 +298,9 @@ def test_signal_stops_the_joints(
     status, _, err = command(*arguments)
     assert status == 128 + number
     assert err == "stopped: axis1 at 0.0000 rad\n"
-    assert rig.link.written[-1] == ("cmd.mode", 0, (0,))
+    # The change of the mode stops the axis; it follows a position in mode POSITION already.
+    mode = Mode.TRAJECTORY if arguments[0] == "position" else Mode.POSITION
+    assert rig.link.written[-1] == ("cmd.mode", 0, (mode,))
 
 
 def test_check_of_the_state(rig: Rig, command: Command) -> None:
