@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from chain import Chain
+from chain import BRIDGE, Chain, wait_for
 from line_simulation import SimulatedLine
 from servo_bridge.commissioning.pack import PROGRESS
 from servo_bridge.commissioning.recorded_move import RECORDING
@@ -188,3 +192,36 @@ def test_the_first_move_is_recorded_and_replayed(
 
 def _only(*names: str) -> list[Step]:
     return [step for step in STEPS if step.name in names]
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_an_end_in_the_move_stops_the_shaft_and_switches_off(tmp_path: Path, number: signal.Signals) -> None:
+    chain = Chain(tmp_path, level="ideal")
+    words = ["--port", str(chain.port), "commission", "axis1", "--voltage", "24", "--current", "4", "--yes"]
+    code = (
+        "from servo_bridge import tool, tool_commission as command; "
+        "command.STEPS = [step for step in command.STEPS if step.name == 'move']; "
+        f"raise SystemExit(tool.main({[*words, '--out', str(tmp_path)]!r}))"
+    )
+    names = ("axis1.state", "axis1.position", "axis1.faults")
+    try:
+        board = chain.board()
+        program = subprocess.Popen(
+            [sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, env=chain.environment, text=True
+        )
+        assert program.stdout is not None
+        for line in program.stdout:
+            if "at most" in line:  # the report of the path, before its start
+                break
+        time.sleep(1.0)
+        program.send_signal(number)
+        assert program.wait(20.0) == (-number if number == signal.SIGKILL else 128 + number)
+        wait_for(lambda: not any(BRIDGE in command for command in chain.processes().values()), 20.0, board.text)
+        values = chain.read_variables(*names)
+        assert values["axis1.state"] == Catalogue.load().enums["state_t"]["STOP"]
+        assert values["axis1.faults"] == 0
+        assert 0.0 < values["axis1.position"] < math.tau
+        assert chain.read_variables(names[1]) == {names[1]: values[names[1]]}  # at rest
+    finally:
+        chain.end()

@@ -102,6 +102,13 @@ ELSEWHERE: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
         "servo_bridge/test/test_demo.py",
         "test_an_interrupted_demonstration_disables_the_axes",
     ),
+    **{
+        ("servo-tool commission", event): (
+            "tests/test_commission_on_board.py",
+            "test_an_end_in_the_move_stops_the_shaft_and_switches_off",
+        )
+        for event in ("signal", "killed")
+    },
     ("servo-tool record", "killed"): (
         "servo_bridge/test/test_tool_record.py",
         "test_lost_line_ends_a_burst_with_the_reason",

@@ -48,6 +48,7 @@ def _own_domain() -> Iterator[None]:
 @contextlib.contextmanager
 def _bridge(port: str, baud: int, axis: int, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """A bridge for one axis, which records to `RECORDING`."""
+    folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob(f"{Path(RECORDING).stem}*.mcap"):
         old.unlink()
     run_file = str((folder / RECORDING).absolute()).replace("%", "%%")  # the bridge inserts the time
