@@ -17,6 +17,7 @@ INPUTS: Final = {
     "config",
     "file",
     "core",
+    "elf",
     "firmware",
     "flash",
     "link",

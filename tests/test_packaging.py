@@ -45,7 +45,15 @@ WITHOUT_KEY = {
     "servo_twin": {"gymnasium", "mujoco", "pyarrow", "rerun", "tomli"},
 }
 
-HOSTS = {"www.apache.org", "download.ros.org", "www.w3.org", "docs.ros.org", "localhost", "127.0.0.1"}
+HOSTS = {
+    "www.apache.org",
+    "www.eprosima.com",
+    "download.ros.org",
+    "www.w3.org",
+    "docs.ros.org",
+    "localhost",
+    "127.0.0.1",
+}
 UNWANTED = {
     "a path of one machine": re.compile(r"(?<![>}])/(?:[h]ome|[r]oot|[w]ork|[U]sers)/\w"),
     "a choice of package index": re.compile(r"--(?:extra-)?index[-]url|--find[-]links|--trusted[-]host"),

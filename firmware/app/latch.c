@@ -138,7 +138,7 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
         if ((queued >> i & 1U) != 0U) {
             axes[i].command.fresh = (uint16_t)(axes[i].command.fresh | FRESH_POINTS);
         }
-        if (written.parameters || written.renewed) {
+        if (written.parameters != 0U) {
             apply_parameters(parameter, &axes[i]);
         }
         if (axes[i].home.limits_stale) {
@@ -147,5 +147,5 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
             axes[i].home.limits_stale = false;
         }
     }
-    return written.commands || written.parameters;
+    return written.commands || (written.parameters & PARAMETERS_WRITTEN) != 0U;
 }

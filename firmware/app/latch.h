@@ -8,13 +8,15 @@
 #include "app/blocks.h"
 #include "drive/axis.h"
 
+#define PARAMETERS_WRITTEN 1U /* by the host: counts like a command */
+#define PARAMETERS_RENEWED 2U /* by the board itself */
+
 /* Writes since the last latch. */
 typedef struct {
     uint16_t fresh[HAL_AXES]; /* FRESH_ bits */
     uint16_t points; /* number of written timed points */
     bool commands; /* a command was written */
-    bool parameters; /* a parameter was written */
-    bool renewed; /* the board itself has changed the parameters */
+    uint16_t parameters; /* changed: PARAMETERS_ bits */
 } latch_marks_t;
 
 void latch_reset(latch_marks_t *marks);

@@ -82,7 +82,7 @@ static void restore_values(servo_t *servo)
     const measurement_t *measurement = &servo->measurement;
     const uint16_t axis = measurement->axis;
     servo->parameter = servo->command.memory.measuring.parameter;
-    servo->marks.renewed = true;
+    servo->marks.parameters |= PARAMETERS_RENEWED;
     storage_note_change(&servo->storage);
     servo->command.speed[axis] = measurement->speed;
     servo->command.i_q[axis] = measurement->i_q;

@@ -61,7 +61,7 @@ void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
     servo->applied_count = 0;
     servo->locked = false;
     latch_reset(&servo->marks);
-    servo->marks.renewed = true;
+    servo->marks.parameters |= PARAMETERS_RENEWED;
     servo->host_commands = 0;
     servo->host_commands_seen = 0;
     servo->host_idle_ticks = 0;
@@ -93,7 +93,7 @@ static void take_blocks(servo_t *servo)
     if (config_blocks_latch(&servo->config_blocks, status, &servo->parameter, &servo->nominal, servo->axis)) {
         note_applied(servo);
         status->taken_tick = servo->applied_tick;
-        servo->marks.renewed = true;
+        servo->marks.parameters |= PARAMETERS_RENEWED;
         storage_note_change(&servo->storage);
     }
 }
@@ -107,7 +107,7 @@ static void latch_commands(servo_t *servo)
         take_blocks(servo);
         return;
     }
-    if (servo->marks.parameters || servo->marks.renewed) {
+    if (servo->marks.parameters != 0U) {
         parameters_of_board(&servo->settings, &servo->parameter);
     }
     if (latch_apply(&servo->marks, &servo->command, &servo->parameter, servo->axis)) {

@@ -108,7 +108,7 @@ static void written(void *context, uint16_t offset, uint16_t size)
         config_blocks_show(&servo->config_blocks, &servo->config);
     } else if (offset >= offsetof(servo_t, parameter) &&
                offset < offsetof(servo_t, parameter) + sizeof servo->parameter) {
-        servo->marks.parameters = true;
+        servo->marks.parameters |= PARAMETERS_WRITTEN;
         storage_note_change(&servo->storage);
     }
 }

@@ -96,7 +96,7 @@ class Bench:
 
     def slow(self, ticks: int = 1) -> None:
         """Run slow ticks, each until just after its snapshot. Parameters that the test wrote to memory are applied."""
-        self.servo.marks.renewed = True
+        self.servo.marks.parameters |= 2  # PARAMETERS_RENEWED
         for _ in range(ticks):
             self.ticks += 1
             for i in range(2):

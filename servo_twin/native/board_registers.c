@@ -255,7 +255,7 @@ static uint32_t handler_ended(board_t *board, unsigned vector, uint32_t tick)
     const bool loop = vector == VECTOR_M1 || second;
     const bool starts = board->starting && vector == VECTOR_START;
     const bool published = second && tick != board->tick;
-    board->tick = tick;
+    board->tick = second ? tick : board->tick; /* another handler may end in it, after the snapshot */
     board->starting = board->starting && !starts;
     board->chip.core.stop = board->chip.core.stop || starts || (board->recording && published);
     const uint32_t stall = loop ? board->stall_clocks : 0u;

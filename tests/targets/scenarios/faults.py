@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_twin.fault_injection import (
     CurrentNoise,
     HotPowerStage,
@@ -88,8 +89,10 @@ def searches(rig: Rig) -> None:
 
 
 def reversed_lines(rig: Rig) -> None:
-    """A reversed encoder; a short circuit during a stall of the core."""
+    """A reversed encoder, found after the time of the search; a short circuit during a stall of the core."""
     ready(rig)
+    send_configuration(rig, {0: {**read_block(rig, 0), "search_ticks_max": 900}})
+    rig.run(0.005)
     rig.reverse_encoder(0)
     rig.set("cmd.enable", 1)
     rig.until("encoder reversed", lambda: rig.faults(0) == ["ENCODER_REVERSED"])
