@@ -187,7 +187,7 @@ class Rig:
         self.bridge = self.chain.bridge(board_parameters=parameters)
         self.user.until(lambda: self.user.connected() and self.user.messages["/servo/snapshot"], 30.0)
         self.user.until(lambda: all(client.service_is_ready() for client in self._zero), 10.0)
-        self.user.until(lambda: self.user.last("/servo/state") and self.user.messages["/servo/armed"])
+        self.user.until(lambda: "axis1=" in self.user.last("/servo/state") and self.user.messages["/servo/armed"])
 
     def start(self, program: str) -> subprocess.Popen[str]:
         """Start a program and wait until axis 1 moves for it."""

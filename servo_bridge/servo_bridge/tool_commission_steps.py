@@ -225,7 +225,10 @@ def _move(subject: Subject) -> Done:
     steps = [
         step
         for step in _twin("steps", folder / RECORDING, "-o", folder / "steps.png")
-        if step["axis"] == subject.name and step["quantity"] == "position"
+        if step["axis"] == subject.name
+        and step["quantity"] == "position"
+        # the set-point also changes, little, when the rotor search ends
+        and abs(step["commanded"] - step["begin"]) > 0.5 * distance
     ]
     figures = [Figure("moves in the recording", len(steps), "", 2, 2)]
     for number, step in enumerate(steps, 1):
