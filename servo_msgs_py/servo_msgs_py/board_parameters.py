@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
@@ -42,6 +43,12 @@ class Assignment:
 def parameters(catalogue: Catalogue) -> list[Variable]:
     """All parameters of a board, in the order of the table."""
     return [v for v in catalogue.variables.values() if v.name.startswith(PREFIX)]
+
+
+@cache
+def parameter_names() -> frozenset[str]:
+    """Names of all parameters of the packaged catalogue."""
+    return frozenset(variable.name for variable in parameters(Catalogue.load()))
 
 
 def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:

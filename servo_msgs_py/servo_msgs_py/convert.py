@@ -10,7 +10,6 @@ import math
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -21,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Int64MultiArray, MultiArrayDimension
 
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.board_parameters import RawParameters, parameters, si
+from servo_msgs_py.board_parameters import RawParameters, parameter_names, parameters, si
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINT_WORDS
@@ -261,17 +260,12 @@ def applied_from_message(message: Int64MultiArray) -> AppliedCommand:
         If the format is wrong.
     """
     name = ",".join(dim.label for dim in message.layout.dim)
-    if name not in COMMAND_VARIABLES and name not in _parameter_names():
+    if name not in COMMAND_VARIABLES and name not in parameter_names():
         raise ValueError(f"{COMMANDS_APPLIED}: {name!r} is not a command; use the same version everywhere")
     tick, mask, *raw = message.data.tolist() if len(message.data) >= _APPLIED_HEAD else (0, 0)
     if not (0 < mask < 1 << AXES and _valid_length(name, len(raw), mask)):
         raise ValueError(f"{COMMANDS_APPLIED}: {name} has {len(raw)} values for the axes of mask {mask}")
     return AppliedCommand(name, tick, tuple(raw), mask)
-
-
-@cache
-def _parameter_names() -> frozenset[str]:
-    return frozenset(variable.name for variable in parameters(Catalogue.load()))
 
 
 def _valid_length(name: str, count: int, mask: int) -> bool:

@@ -15,7 +15,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any, Final, TypeVar
 
-from servo_msgs_py.board_parameters import PREFIX
+from servo_msgs_py.board_parameters import parameter_names
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 from servo_msgs_py.topics import COMMAND_VARIABLES
 
@@ -214,7 +214,7 @@ class Link:
         variable = self._known(name)
         offset, data = variable.encode_part(raw, first)
         command = name in COMMAND_VARIABLES
-        lengthy = command or name.startswith(PREFIX)  # the board counts and executes every received write
+        lengthy = command or name in parameter_names()  # the board counts and executes every received write
 
         def run(session: Session) -> None:
             session.write_contract(variable, data, offset, lengthy=lengthy)

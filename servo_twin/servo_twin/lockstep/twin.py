@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.board_parameters import RawParameters, parameters
+from servo_msgs_py.board_parameters import RawParameters, parameter_names, parameters
 from servo_msgs_py.board_port import reached
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
@@ -119,7 +119,6 @@ class Twin:
         self._replica: Replica | None = None
         self._shift = 0
         self._axes = [AxisAlignment(axis, self._catalogue) for axis in range(AXES)]
-        self._parameter_names = frozenset(variable.name for variable in parameters(self._catalogue))
         self._parameters: RawParameters | None = None
         self._cause = ""  # reason for a pending synchronisation
         self._in_force: RawParameters = {}  # parameters of the twin's board, in coordinates of the real board
@@ -139,7 +138,7 @@ class Twin:
         self._parameters = values
         present = dict(self._in_force)
         for command in self._commands.until(_FOREVER):
-            if command.variable in self._parameter_names:
+            if command.variable in parameter_names():
                 present[command.variable] = self._parameter(command)
         if self._replica is not None and values != present:
             changed = ", ".join(name for name in values if values[name] != present.get(name))
@@ -434,7 +433,7 @@ class Twin:
                 repeat_blocks(replica, command)
                 taken = True
                 continue
-            if command.variable in self._parameter_names:
+            if command.variable in parameter_names():
                 self._in_force = {**self._in_force, command.variable: self._parameter(command)}
                 self._set_parameters(replica)
                 continue
@@ -460,7 +459,7 @@ class Twin:
         if command.variable == TAKE:
             self._blocks |= blocks_of(command)
             return
-        if command.variable in self._parameter_names:
+        if command.variable in parameter_names():
             return
         for axis in self._axes:
             axis.remember(command)
