@@ -193,9 +193,7 @@ class Health:
         word = snapshot.values.get(f"{prefix}.limits")
         limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
         remaining = 1.0 if winding is None or not current_limit else min(winding.current / current_limit, 1.0)
-        level = _OK
-        if used:
-            level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 else _OK
+        level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or NO_FAULT for key, texts in ((FAULTS, faults), ("limits", limits))}
@@ -213,7 +211,9 @@ class Health:
             values["current limit left [%]"] = _number(100.0 * remaining)
         derated = f"; hot winding: current limit derated to {100.0 * remaining:.0f} %" if remaining < 1.0 else ""
         message = "; ".join(faults) or status.label + at_limit + derated
-        return self._status(name, level, message if used else "not in use (parameter used)", values)
+        if not used:
+            level, message = _OK, "not in use (parameter used)"
+        return self._status(name, level, message, values)
 
     def commands(
         self, figures: CommandFigures, *, armed: bool, conflict: str = "", inactive: str = ""

@@ -27,6 +27,7 @@ from servo_msgs_py import argument
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
+    from servo_bridge.wire.session import Session
 
 _AXES: Final = [axis_name(axis) for axis in range(AXES)]
 
@@ -78,14 +79,7 @@ def bode(context: Context) -> int:
         _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
     )
     try:
-        with deferred() as stop, measurement_access(context.session, stop.check) as access, progress_bar() as bar:
-            result = measure(
-                access,
-                request,
-                enable=args.enable,
-                report=lambda sentence: complain(f"servo-tool: {sentence}"),
-                progress=lambda text, done, total: show(bar, f"{text} ", done, total),
-            )
+        result = measured(context.session, request, enable=args.enable)
         if args.out is not None:
             write_files(result, args.out)
         if args.rrd is not None:
@@ -95,6 +89,18 @@ def bode(context: Context) -> int:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     return 0 if result.confirmed else 1
+
+
+def measured(session: Session, request: BodeRequest, *, enable: bool) -> Bode:
+    """Measure with a progress bar and messages; parameters and errors as of `servo_measurement.bode.measure`."""
+    with deferred() as stop, measurement_access(session, stop.check) as access, progress_bar() as bar:
+        return measure(
+            access,
+            request,
+            enable=enable,
+            report=lambda sentence: complain(f"servo-tool: {sentence}"),
+            progress=lambda text, done, total: show(bar, f"{text} ", done, total),
+        )
 
 
 def write_files(result: Bode, folder: Path) -> str:

@@ -14,9 +14,7 @@ from servo_msgs_py.runtime.program import complain
 from servo_bridge import tool_identify
 from servo_bridge.commissioning.figure import ImplausibleError, lines, require
 from servo_bridge.commissioning.pack import Pack, PackError
-from servo_bridge.commissioning.recorded_move import MoveError
 from servo_bridge.commissioning.report import page
-from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.tool_commission_steps import CONFIG, FAILURES, PLANT, STEPS, Step, Subject, missing
 from servo_bridge.tool_values import UsageError
 from servo_msgs_py import argument
@@ -109,15 +107,15 @@ def commission(context: Context) -> int:
 
 def _taken(step: Step, subject: Subject, pack: Pack) -> str:
     """Take a step and keep its result; returns why the sequence ends, else nothing."""
-    if step.moves and step.name in pack.done:
+    if step.confirmed and step.name in pack.done:
         print(f"{step.name}: done before (--again '{step.name}' repeats it)")
         return ""
     print(f"{step.name}: {step.about(subject)}", flush=True)
-    if step.moves and subject.ask is not None and subject.ask("Go on? [Enter: yes, n: no] ").strip():
+    if step.confirmed and subject.ask is not None and subject.ask("Go on? [Enter: yes, n: no] ").strip():
         return f"ended before the step {step.name!r}; the same command continues"
     try:
         done = step.run(subject)
-    except (*FAILURES, MoveError, FreemasterError) as error:
+    except FAILURES as error:
         return f"{step.name}: {error}"
     print(*(f"  {line}" for line in (*lines(done.figures), *done.texts)), sep="\n", flush=True)
     try:

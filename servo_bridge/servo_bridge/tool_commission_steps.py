@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_measurement.access import MeasurementError
-from servo_measurement.bode import Bode, measure
 from servo_measurement.bode_plan import BodeRequest
 from servo_measurement.frequency_response import Measured
 from servo_measurement.motor_values import Limits
@@ -23,23 +23,22 @@ from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_blocks
 from servo_msgs_py.board_storage import StorageRefusedError, execute_request, success_text
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.run_file.virtual_board_file import read_virtual_board
-from servo_msgs_py.runtime.program import complain, deferred
+from servo_msgs_py.runtime.program import deferred
 from servo_msgs_py.text_file import parse_json, read_text
 from servo_msgs_py.units import PERIOD
 
 from servo_bridge import tool_bode, tool_identify
-from servo_bridge.commissioning import at_rest
+from servo_bridge.commissioning import checks
 from servo_bridge.commissioning.figure import Figure
 from servo_bridge.commissioning.pack import Done
-from servo_bridge.commissioning.recorded_move import DURATION, RECORDING, move_and_back
+from servo_bridge.commissioning.recorded_move import DURATION, RECORDING, MoveError, move_and_back
+from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.measurement_access import SessionAccess, measurement_access
 from servo_bridge.tool_commands import Context
-from servo_bridge.tool_progress import progress_bar, show
 from servo_bridge.tuning.plan import Plan, computed, read_blocks
 from servo_bridge.wire.session_port import SessionPort
 
 CONFIG, PLANT = "servo.toml", "plant.toml"
-_TURN: Final = 6.283185307179586  # [rad]
 _CROSSOVER: Final = 0.3  # tolerance of a measured crossover against its prediction, relative
 _PHASE_MIN: Final = 30.0  # phase margin [degrees]
 _GAIN_MIN: Final = 2.0  # gain margin
@@ -62,7 +61,7 @@ class Subject:
     config: Path | None  # its file; None: the one of the checkout
     plant: Path | None  # plant.toml with the values of the other axis; None: the packaged one
     folder: Path  # of the pack
-    ask: Callable[[str], str] | None  # asks the user for a line; None: nobody is there
+    ask: Callable[[str], str] | None  # asks a question at the terminal; None: every step is confirmed (--yes)
 
     @property
     def name(self) -> str:
@@ -90,9 +89,8 @@ class Step:
     name: str
     about: Callable[[Subject], str]  # what it does and needs, for the user
     run: Callable[[Subject], Done]
-    moves: bool = (
-        False  # the shaft may move: the user has to agree, and a result is kept when the sequence is continued
-    )
+    confirmed: bool = False
+    """The shaft moves or the data flash is written: the user has to agree, and the result is kept on a continuation."""
 
 
 # ---- outputs off ----------------------------------------------------------------------------------------------------
@@ -101,17 +99,17 @@ class Step:
 def _board(subject: Subject) -> Done:
     info = subject.context.session.info
     texts = [f"{info.name} {info.version}, built {info.build}; the table of variables matches"]
-    return Done(subject.measured(partial(at_rest.board, real=not subject.virtual)), texts)
+    return Done(subject.measured(partial(checks.board, real=not subject.virtual)), texts)
 
 
 def _supply(subject: Subject) -> Done:
-    cleared = subject.measured(lambda access: at_rest.clear_faults(access, subject.axis))
-    figures = subject.measured(lambda access: at_rest.supply(access, subject.axis, subject.limits.voltage))
+    cleared = subject.measured(lambda access: checks.clear_faults(access, subject.axis))
+    figures = subject.measured(lambda access: checks.supply(access, subject.axis, subject.limits.voltage))
     return Done(figures, [f"faults before: {', '.join(cleared)}"] if cleared else [])
 
 
 def _pins(subject: Subject) -> Done:
-    names = subject.measured(lambda access: at_rest.pins(access, subject.axis))
+    names = subject.measured(lambda access: checks.pins(access, subject.axis))
     text = f"active inputs: {', '.join(names) or 'none'}"
     if subject.ask is not None and subject.ask(f"{text}. Is that right? [Enter: yes, n: no] ").strip():
         raise StepError(f"{text}: change the wiring, or [{subject.name}.pins] of servo.toml")
@@ -119,13 +117,13 @@ def _pins(subject: Subject) -> Done:
 
 
 def _encoder(subject: Subject) -> Done:
-    figures = subject.measured(lambda access: at_rest.encoder(access, subject.axis))
+    figures = subject.measured(lambda access: checks.encoder(access, subject.axis))
     if subject.ask is None:
         return Done(figures, ["the shaft was not turned by hand"])
     before = subject.measured(_position(subject))
     if subject.ask("Turn the shaft by hand, one turn in the positive direction, then press Enter [s: skip] ").strip():
         return Done(figures, ["the shaft was not turned by hand"])
-    return Done([*figures, *at_rest.turned(before, subject.measured(_position(subject)))])
+    return Done([*figures, *checks.turned(before, subject.measured(_position(subject)))])
 
 
 def _position(subject: Subject) -> Callable[[SessionAccess], float]:
@@ -149,8 +147,8 @@ def _identify(subject: Subject) -> Done:
     document = parse_json(read_text(subject.folder / tool_identify.ESTIMATES))
     scale = subject.context.catalogue[f"{subject.name}.i_q"].maximum
     estimates = document["estimates"]
-    motor = [Figure(name, one["value"], one["unit"]) for name, one in estimates.items() if name not in at_rest.OWN]
-    return Done([*at_rest.identified(estimates, scale, PERIOD), *motor], pictures=[tool_identify.PICTURE])
+    motor = [Figure(name, one["value"], one["unit"]) for name, one in estimates.items() if name not in checks.OWN]
+    return Done([*checks.identified(estimates, scale, PERIOD), *motor], pictures=[tool_identify.PICTURE])
 
 
 def _tune(subject: Subject) -> Done:
@@ -176,18 +174,8 @@ def _tune(subject: Subject) -> Done:
 
 
 def _bode(loop: str, subject: Subject) -> Done:
-    travel = _TURN * subject.limits.turns
-    request = BodeRequest(subject.axis, loop, travel_max=travel)
-    with progress_bar() as bar:
-        result: Bode = subject.measured(
-            lambda access: measure(
-                access,
-                request,
-                enable=True,
-                report=complain,
-                progress=lambda text, done, total: show(bar, f"{text} ", done, total),
-            )
-        )
+    request = BodeRequest(subject.axis, loop, travel_max=math.tau * subject.limits.turns)
+    result = tool_bode.measured(subject.context.session, request, enable=True)
     stem = tool_bode.write_files(result, subject.folder)
     predicted, remedy = result.prediction.margins, "the identified motor values, or a resonance of the load"
     expected = predicted.crossover or 0.0
@@ -203,7 +191,7 @@ def _bode(loop: str, subject: Subject) -> Done:
 
 
 def _value(measured: Measured | None) -> float:
-    return float("nan") if measured is None else measured.value
+    return math.nan if measured is None else measured.value
 
 
 def _store(subject: Subject) -> Done:
@@ -214,7 +202,7 @@ def _store(subject: Subject) -> Done:
 
 
 def _distance(subject: Subject) -> float:
-    return _TURN * min(1.0, subject.limits.turns)
+    return math.tau * min(1.0, subject.limits.turns)
 
 
 def _move(subject: Subject) -> Done:
@@ -232,7 +220,7 @@ def _move(subject: Subject) -> Done:
     ]
     figures = [Figure("moves in the recording", len(steps), "", 2, 2)]
     for number, step in enumerate(steps, 1):
-        settling = float("nan") if step["settling_time"] is None else step["settling_time"]
+        settling = math.nan if step["settling_time"] is None else step["settling_time"]
         figures += [
             Figure(f"move {number}: settled after", settling, "s"),
             Figure(f"move {number}: error at rest", step["error"], "rad", -_ERROR, _ERROR),
@@ -283,32 +271,34 @@ STEPS: Final[Sequence[Step]] = (
             "rad/s and {turns:g} turns in each direction. Remove the load and anything that the shaft could catch"
         ),
         _identify,
-        moves=True,
+        confirmed=True,
     ),
     Step("tune", _what("servo.toml of the identified motor and the limits are written to {axis}"), _tune),
     Step(
         "bode current",
         _what("Bode plot of the current loop of {axis}: a current holds the rotor, which turns to it first"),
         partial(_bode, "current"),
-        moves=True,
+        confirmed=True,
     ),
     Step(
         "bode speed",
         _what("Bode plot of the speed loop of {axis}: the shaft turns up to {turns:g} turns in each direction"),
         partial(_bode, "speed"),
-        moves=True,
+        confirmed=True,
     ),
-    Step("store", _what("configuration and parameters are stored in the data flash of the board"), _store, moves=True),
+    Step(
+        "store", _what("configuration and parameters are stored in the data flash of the board"), _store, confirmed=True
+    ),
     Step(
         "move",
         _what(
             "a move of {axis} by {distance:.3g} rad in {duration:g} s and back, through servo_bridge, which records it"
         ),
         _move,
-        moves=True,
+        confirmed=True,
     ),
 )
-"""All steps. Those that do not move the shaft are repeated when a sequence is continued: they take a few seconds."""
+"""All steps. Those that are not `confirmed` are repeated when a sequence is continued: they take a few seconds."""
 
 FAILURES: Final = (
     StepError,
@@ -316,6 +306,8 @@ FAILURES: Final = (
     AxisConfigError,
     BlockRefusedError,
     StorageRefusedError,
+    MoveError,
+    FreemasterError,
     ValueError,
 )
 """Errors of a step that end the sequence, with reason and remedy."""

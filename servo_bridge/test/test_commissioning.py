@@ -11,7 +11,7 @@ from typing import Any, Final
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_bridge.commissioning.at_rest import identified, turned
+from servo_bridge.commissioning.checks import identified, turned
 from servo_bridge.commissioning.figure import Figure, ImplausibleError, require
 from servo_bridge.commissioning.pack import PROGRESS, Done, Pack, PackError
 from servo_bridge.commissioning.report import page

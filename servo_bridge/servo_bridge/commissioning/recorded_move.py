@@ -71,7 +71,7 @@ def _bridge(port: str, baud: int, axis: int, folder: Path) -> Iterator[subproces
                 process.wait(_END)
             except subprocess.TimeoutExpired:
                 process.kill()
-                process.wait()
+                process.wait(_END)
 
 
 def move_and_back(port: str, baud: int, axis: int, distance: float, folder: Path) -> None:
@@ -102,8 +102,8 @@ def move_and_back(port: str, baud: int, axis: int, distance: float, folder: Path
         from servo_bridge.motions import Motions
         from servo_bridge.trajectory.errors import TrajectoryError
 
-        def _follow(motions: Motions, message: JointTrajectory, duration: float) -> str:
-            motions.follow(message, lambda _: None, duration)
+        def follow(message: JointTrajectory, duration: float) -> str:
+            Motions(commander).follow(message, lambda _: None, duration)
             return ""
 
         try:
@@ -117,7 +117,7 @@ def move_and_back(port: str, baud: int, axis: int, distance: float, folder: Path
                 begin = commander.positions()[joint]
                 for target in (begin + distance, begin):
                     move = argparse.Namespace(verb="move", targets=[(joint, target)], time=DURATION, dry_run=False)
-                    run_path(commander, move, lambda message, duration: _follow(Motions(commander), message, duration))
+                    run_path(commander, move, follow)
                     commander.holds(lambda: False, _REST)
                 commander.disable()
         except (CommandError, TrajectoryError) as error:

@@ -1,4 +1,4 @@
-"""Checks of a board and an axis with the outputs off: nothing moves."""
+"""Checks of a board and an axis. Those with access to the board leave its outputs off: nothing moves."""
 
 from __future__ import annotations
 
