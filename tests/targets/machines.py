@@ -162,20 +162,29 @@ class QemuProgram:
 
 
 @dataclass(frozen=True)
-class CortexM3:
-    """A bare Cortex-M3 in QEMU."""
+class _Cortex:
+    """A bare Cortex-M: its programs are for the mps2 boards."""
 
     optimisation: str
-    about: str = "Cortex-M3, bare metal, QEMU mps2-an385"
+    core: str
+    about: str
     packages: tuple[str, ...] = ("gcc-arm-none-eabi", "libnewlib-arm-none-eabi", "qemu-system-arm")
     weight: float = 4.0  # run time relative to the host
 
     @property
     def name(self) -> str:
-        return f"cortex-m3 {self.optimisation}"
+        return f"{self.core} {self.optimisation}"
 
     def available(self) -> bool:
         return has_library("arm-none-eabi-gcc", "libc.a") and has_program(QEMU[0])
+
+
+@dataclass(frozen=True)
+class CortexM3(_Cortex):
+    """A bare Cortex-M3 in QEMU."""
+
+    core: str = "cortex-m3"
+    about: str = "Cortex-M3, bare metal, QEMU mps2-an385"
 
     def build(self, sources: Sources, folder: Path) -> QemuProgram:
         return QemuProgram(_replay_elf(sources, folder, [*CORTEX_M3, self.optimisation, SAMPLES]))
@@ -215,20 +224,11 @@ def build_arm_simulator(sources: Sources, folder: Path, options: Sequence[str] =
 
 
 @dataclass(frozen=True)
-class CortexM4:
+class CortexM4(_Cortex):
     """A bare Cortex-M4, executed by the core of the virtual board."""
 
-    optimisation: str
+    core: str = "cortex-m4"
     about: str = "Cortex-M4, bare metal, servo_twin/native/arm"
-    packages: tuple[str, ...] = ("gcc-arm-none-eabi", "libnewlib-arm-none-eabi", "qemu-system-arm", "gcc")
-    weight: float = 4.0  # run time relative to the host
-
-    @property
-    def name(self) -> str:
-        return f"cortex-m4 {self.optimisation}"
-
-    def available(self) -> bool:
-        return has_library("arm-none-eabi-gcc", "libc.a") and has_program(QEMU[0])
 
     def build(self, sources: Sources, folder: Path) -> ArmProgram:
         simulator = build_arm_simulator(sources, folder)

@@ -48,6 +48,17 @@ void machine_print(const char *text)
     }
 }
 
+void machine_print_hex(uint32_t value)
+{
+    char text[10];
+    for (uint32_t k = 0; k < 8u; k++) {
+        text[k] = "0123456789abcdef"[value >> (28u - 4u * k) & 15u];
+    }
+    text[8] = '\n';
+    text[9] = '\0';
+    machine_print(text);
+}
+
 void machine_stop(int status)
 {
     const uint32_t block[2] = {STOPPED_BY_APPLICATION, (uint32_t)status};

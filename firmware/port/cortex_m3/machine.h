@@ -18,6 +18,9 @@ uint8_t machine_image(uint32_t at);
 /* Text to UART0. */
 void machine_print(const char *text);
 
+/* Eight hexadecimal digits and a line feed to UART0. */
+void machine_print_hex(uint32_t value);
+
 /* End the simulation with this exit status. */
 void machine_stop(int status) __attribute__((noreturn));
 

@@ -14,16 +14,6 @@
 #define INTERRUPTS_END
 #endif
 
-void isr_break_1(void);
-void isr_break_2(void);
-void isr_m1(void);
-void isr_m2(void);
-void isr_start(void);
-void isr_edge_1(void);
-void isr_edge_2(void);
-void isr_receive(void);
-void isr_unexpected(void);
-
 INTERRUPTS_BEGIN
 
 void isr_break_1(void) { port_break_1(&startup_hal); }

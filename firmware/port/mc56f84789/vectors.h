@@ -15,4 +15,15 @@
     V(VECTOR_TMRB_0, LEVEL_EDGE, port_edge_2)                                                                          \
     V(VECTOR_QSCI0_RCV, LEVEL_SERIAL, port_receive)
 
+/* Entries in the table of a chip. */
+void isr_break_1(void);
+void isr_break_2(void);
+void isr_m1(void);
+void isr_m2(void);
+void isr_start(void);
+void isr_edge_1(void);
+void isr_edge_2(void);
+void isr_receive(void);
+void isr_unexpected(void);
+
 #endif

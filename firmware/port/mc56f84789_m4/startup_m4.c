@@ -19,15 +19,6 @@ extern uint32_t image_stack[];
 extern uint32_t image_data[], image_data_end[], image_bss[], image_bss_end[];
 extern const uint32_t image_data_load[];
 
-void isr_break_1(void);
-void isr_break_2(void);
-void isr_m1(void);
-void isr_m2(void);
-void isr_start(void);
-void isr_edge_1(void);
-void isr_edge_2(void);
-void isr_receive(void);
-void isr_unexpected(void);
 void image_reset(void);
 
 typedef void (*handler_t)(void);

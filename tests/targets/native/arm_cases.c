@@ -84,17 +84,6 @@ static uint32_t hash(uint32_t sum, const uint32_t *word, uint32_t count)
     return sum;
 }
 
-static void print_hex(uint32_t value)
-{
-    char text[10];
-    for (uint32_t k = 0; k < 8u; k++) {
-        text[k] = "0123456789abcdef"[value >> (28u - 4u * k) & 15u];
-    }
-    text[8] = '\n';
-    text[9] = '\0';
-    machine_print(text);
-}
-
 int main(void)
 {
     uint32_t state = 0x2545F491u;
@@ -120,7 +109,7 @@ int main(void)
             run_case(cases[n].code, in, out);
             sum = hash(hash(sum, out, WORDS), scratch, SCRATCH_WORDS);
         }
-        print_hex(sum);
+        machine_print_hex(sum);
     }
     machine_stop(0);
 }

@@ -110,17 +110,6 @@ static void round_of(void)
     note(202);
 }
 
-static void print_hex(uint32_t value)
-{
-    char text[10];
-    for (uint32_t k = 0; k < 8u; k++) {
-        text[k] = "0123456789abcdef"[value >> (28u - 4u * k) & 15u];
-    }
-    text[8] = '\n';
-    text[9] = '\0';
-    machine_print(text);
-}
-
 int main(void)
 {
     machine_start();
@@ -130,7 +119,7 @@ int main(void)
     VTOR = (uint32_t)(uintptr_t)table;
     for (uint32_t k = 0; k < ROUNDS; k++) {
         round_of();
-        print_hex(sum);
+        machine_print_hex(sum);
     }
     machine_stop(0);
 }
