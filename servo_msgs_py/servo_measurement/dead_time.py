@@ -21,7 +21,7 @@ BAND_MARGIN: Final = 1.5
 """Margin of a remedy: the range grows with the ripple, and with it the current."""
 
 ESTIMATE_MARGIN: Final = 1.2
-"""The same for the value of `band_of`, which is rather too large."""
+"""The same for the value of `band_of`, which is an upper estimate."""
 
 
 def check_band(band: float, estimate: float, current: float, limits: Limits, maximum: float, *, complete: bool) -> None:

@@ -70,7 +70,7 @@ class BoardDescription:
         ValueError
             If an entry is missing, unknown or out of range.
         """
-        if wrong := sorted({field.name for field in fields(cls)} - {"name"} ^ set(table)):
+        if wrong := sorted(({field.name for field in fields(cls)} - {"name"}) ^ set(table)):
             raise ValueError(f"{name}: missing or unknown: {', '.join(wrong)}")
         return cls(name=name, **table)
 
