@@ -430,12 +430,12 @@ class TestRows:
         applied = rig.last["applied_tick"]
         bridge.send(signal.SIGSTOP)
         try:
-            time.sleep(SUSPENSION)
+            time.sleep(1.2 * SUSPENSION)  # the board may be late itself
         finally:
             bridge.send(signal.SIGCONT)
         rig.user.until(lambda: labels(rig.last) == FAULT and is_at_rest(rig.last), what="no fault")
         assert fault_names(rig.last) == [["HOST_SILENT"]] * 2
-        assert seconds(rig.last["tick"] - applied) > 0.5 * SUSPENSION  # the board may be late itself
+        assert seconds(rig.last["tick"] - applied) > 0.9 * SUSPENSION
         rig.wait_for_standstill()
         assert not any("DISCONNECTED" in m.data for m in rig.user.messages["/servo/state"][states:])
         rig.assert_restart_by_command_only()
