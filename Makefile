@@ -261,7 +261,13 @@ $(VENV)/.extras: $(VENV)/.packages
 	@$(INSTALL) 'servo_twin[cluster,tune]'
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.packages pyproject.toml
+# Descriptions of a chip by others, against which the tests check register definitions: files of two packages, whose programs
+# are not used.
+$(VENV)/.chips: $(VENV)/.created Makefile
+	@$(PIP) install --quiet --no-compile --no-deps --upgrade --target $(VENV)/chip-descriptions pyocd==0.46.0 modm-devices==0.13.1
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.packages $(VENV)/.chips pyproject.toml
 	@echo "[dev] tools for tests and checks"
 	@$(PIP) install --quiet --no-compile --constraint constraints.txt pip # the one of venv may not know groups
 	@$(INSTALL) --group dev
