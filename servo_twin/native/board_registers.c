@@ -1,60 +1,24 @@
-/* The board with the MC56F84789 at register level and the plant at switching level. */
+/* The board at register level: the plant at switching level, a chip, and its software. */
+#include "board_registers.h"
+
 #include <stdlib.h>
 #include <string.h>
 
-#include "board_parts.h"
-#include "chip/chip.h"
 #include "config/contract_gen.h"
-#include "plant/pins.h"
-#include "plant/switching.h"
-#include "port/mc56f84789/port.h"
-#include "program.h"
-
-#define CLOCK_NS 10u
-#define SYNC_CLOCKS 2u /* through the crossbar; not documented, two flip-flops are assumed */
-
-#define VECTOR_M1 85u    /* PWMA_CMP1 */
-#define VECTOR_START 87u /* PWMA_CMP0: the sequence of both loops */
-
-struct board {
-    switching_t plant; /* at a multiple of SWITCHING_LINE */
-    chip_t chip;
-    servo_t servo;
-    hal_t hal;
-    servo_config_t config;
-    double baud; /* of the serial line [bit/s] */
-    uint64_t time_ns;  /* since `zero` [ns] */
-    uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
-    bool booted;
-    bool starting;   /* stop at the start of the sequence of both loops */
-    uint32_t breaks; /* times an over-current comparator has tripped */
-    uint32_t stall_clocks; /* added to the next control loop, as it would interrupt any other handler [bus clocks] */
-    bool tripped[BOARD_AXES]; /* output of the over-current comparator */
-    bool swapped[BOARD_AXES]; /* lines A and B of the encoder are swapped */
-    plant_pins_t pins[BOARD_AXES];
-    unsigned closed[BOARD_AXES]; /* contacts whose pins are low, a bit per board_pin_t */
-    bool up;        /* the port has started the servo */
-    bool recording; /* stop after each slow tick */
-    uint32_t tick; /* of the last snapshot */
-    program_t program; /* instead of servo and hal, if it is loaded */
-};
 
 #include "board_pointers.h"
 
-#define LINE(member) offsetof(struct board, chip.sci.line.member)
+#define LINE(member) offsetof(struct board, chip.BOARD_LINE.member)
 #define LEFT_OUT(member) {.offset = offsetof(struct board, chip.member), .size = sizeof((struct board *)0)->chip.member}
 
 /* The contexts and the stack belong to a process and an address; they are made anew. So does the decoded program. */
 static const board_gap_t gaps[] = {
-    LEFT_OUT(core.bus.escape),
-    LEFT_OUT(core.inside),
-    LEFT_OUT(core.outside),
-    {LINE(in), SCI_LINE_IN, LINE(in_head), LINE(in_size)},
-    {LINE(out), SCI_LINE_OUT, LINE(out_head), LINE(out_size)},
-    LEFT_OUT(stack),
-    {.offset = offsetof(struct board, program.arm.region),
-     .size = offsetof(struct board, program.hooks) + sizeof(program_hooks_t *) -
-             offsetof(struct board, program.arm.region)},
+    LEFT_OUT(BOARD_BUS.escape),
+    BOARD_GAPS_BEFORE_LINE{LINE(in), SERIAL_LINE_IN, LINE(in_head), LINE(in_size)},
+    {LINE(out), SERIAL_LINE_OUT, LINE(out_head), LINE(out_size)},
+    BOARD_GAPS_BEHIND_LINE{.offset = offsetof(struct board, program.arm.region),
+                           .size = offsetof(struct board, program.hooks) + sizeof(program_hooks_t *) -
+                                   offsetof(struct board, program.arm.region)},
     {offsetof(struct board, program.ram), PROGRAM_RAM, offsetof(struct board, program.ram_first),
      offsetof(struct board, program.ram_used)},
 };
@@ -66,42 +30,6 @@ const board_layout_t board_layout = {
     .gap = gaps,
     .gaps = sizeof gaps / sizeof gaps[0],
     .build = BOARD_BUILD,
-};
-
-/* ---- wiring -------------------------------------------------------------------------------------------------------- */
-
-static const chip_wiring_t wiring = {
-    .gate = {{{CHIP_PIN('E', 1), CHIP_PIN('E', 0)},
-              {CHIP_PIN('E', 3), CHIP_PIN('E', 2)},
-              {CHIP_PIN('E', 5), CHIP_PIN('E', 4)}},
-             {{CHIP_PIN('G', 3), CHIP_PIN('G', 2)},
-              {CHIP_PIN('G', 1), CHIP_PIN('G', 0)},
-              {CHIP_PIN('E', 7), CHIP_PIN('E', 6)}}},
-    .txd = CHIP_PIN('C', 7),
-    .rxd = CHIP_PIN('C', 8),
-};
-
-static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)},
-                                                    {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
-static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
-static const unsigned brake_resistor_pin = CHIP_PIN('G', 6);
-#define CONTACTS 4 /* by board_pin_t; all to ground, pulled up */
-static const unsigned contact_pin[BOARD_AXES][CONTACTS] = {
-    {CHIP_PIN('F', 0), CHIP_PIN('F', 1), CHIP_PIN('F', 2), CHIP_PIN('E', 9)},
-    {CHIP_PIN('F', 3), CHIP_PIN('F', 4), CHIP_PIN('F', 5), CHIP_PIN('F', 13)},
-};
-static const unsigned holding_pin[BOARD_AXES] = {CHIP_PIN('D', 5), CHIP_PIN('D', 6)};
-
-/* Analogue pins ANA0-7, ANB0-7. Phase b is on both converters, so that any two phases can be sampled together. */
-typedef enum { NOTHING, CURRENT, BUS, SINK } analog_kind_t;
-
-static const struct {
-    analog_kind_t kind;
-    int axis, phase;
-} analog[16] = {
-    [0] = {CURRENT, 0, 0}, [1] = {CURRENT, 0, 1}, [8] = {CURRENT, 0, 1},  [9] = {CURRENT, 0, 2},
-    [4] = {CURRENT, 1, 0}, [5] = {CURRENT, 1, 1}, [12] = {CURRENT, 1, 1}, [13] = {CURRENT, 1, 2},
-    [6] = {BUS, 0, 0},     [14] = {SINK, 0, 0},   [15] = {SINK, 1, 0},
 };
 
 /* ---- environment of the chip ---------------------------------------------------------------------------------------- */
@@ -122,7 +50,7 @@ static uint64_t next_event(void *self)
 /* The pin of an encoder's line, or that of the other line. */
 static inline unsigned line_pin(const board_t *board, int axis, int line)
 {
-    return encoder_pin[axis][board->swapped[axis] ? 1 - line : line];
+    return board_wiring.encoder[axis][board->swapped[axis] ? 1 - line : line];
 }
 
 /* The plant defers edges that only count, which makes each one cheaper. */
@@ -131,8 +59,8 @@ static void deferrable_edges_changed(void *self)
     board_t *board = (board_t *)self;
     chip_plant_changed(&board->chip);
     for (int axis = 0; axis < BOARD_AXES; axis++) {
-        const unsigned a = chip_deferrable_edges(&board->chip, encoder_pin[axis][0]);
-        const unsigned b = chip_deferrable_edges(&board->chip, encoder_pin[axis][1]);
+        const unsigned a = chip_deferrable_edges(&board->chip, board_wiring.encoder[axis][0]);
+        const unsigned b = chip_deferrable_edges(&board->chip, board_wiring.encoder[axis][1]);
         const unsigned edges = (a < b) ? a : b;
         if (edges != board->plant.axis[axis].deferrable_edges) {
             switching_defer_edges(&board->plant, axis, edges);
@@ -160,48 +88,26 @@ static void handle_events(void *self)
         if (event.kind == SWITCHING_ENCODER) {
             chip_pin(&board->chip, line_pin(board, event.axis, event.line), event.level);
         } else {
-            chip_pin(&board->chip, comparator_pin[event.axis], event.level);
+            board_over_current(board, event.axis, event.level);
             board->breaks += (event.level && !board->tripped[event.axis]) ? 1u : 0u;
             board->tripped[event.axis] = event.level;
         }
     }
 }
 
-static void set_gates(void *self, unsigned module, unsigned submodule, unsigned levels)
+static double seconds_of(const board_t *board)
 {
-    board_t *board = (board_t *)self;
-    if (submodule >= 3u) {
-        return; /* the monitor outputs drive no inverter */
-    }
-    chip_plant_changed(&board->chip);
-    switching_edge(&board->plant, (int)module, (int)submodule, (switching_leg_t)levels);
+    return (double)board->chip.BOARD_BUS.now * (1000.0 / BOARD_CLOCK_MHZ * 1e-9);
 }
-
-static uint16_t convert(void *self, unsigned channel)
-{
-    board_t *board = (board_t *)self;
-    switch (analog[channel].kind) {
-    case CURRENT:
-        return switching_current_code(&board->plant, analog[channel].axis, analog[channel].phase);
-    case BUS:
-        return switching_bus_code(&board->plant);
-    case SINK:
-        return plant_code_unipolar(board->plant.axis[analog[channel].axis].sink.t, PLANT_SINK_FULL_SCALE);
-    default:
-        return 0;
-    }
-}
-
-static double seconds_of(const board_t *board) { return (double)board->chip.core.bus.now * (CLOCK_NS * 1e-9); }
 
 static void show_contacts(board_t *board, int axis)
 {
     const unsigned closed = plant_pins_closed(&board->pins[axis], switching_theta(&board->plant, axis));
     const unsigned changed = closed ^ board->closed[axis];
     board->closed[axis] = closed;
-    for (unsigned pin = 0; changed != 0u && pin < CONTACTS; pin++) {
+    for (unsigned pin = 0; changed != 0u && pin < BOARD_CONTACTS; pin++) {
         if ((changed >> pin & 1u) != 0u) {
-            chip_pin(&board->chip, contact_pin[axis][pin], (closed >> pin & 1u) == 0u);
+            chip_pin(&board->chip, board_wiring.contact[axis][pin], (closed >> pin & 1u) == 0u);
         }
     }
 }
@@ -212,7 +118,7 @@ static void update_pins(board_t *board)
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         plant_pins_t *pins = &board->pins[axis];
         if (plant_pins_follow(pins, seconds_of(board))) {
-            switching_advance(&board->plant, board->chip.core.bus.now);
+            switching_advance(&board->plant, board->chip.BOARD_BUS.now);
             switching_set_friction(&board->plant, axis, plant_pins_friction(pins));
             chip_plant_changed(&board->chip);
         }
@@ -225,13 +131,14 @@ static void outputs_changed(void *self)
 {
     board_t *board = (board_t *)self;
     chip_plant_changed(&board->chip);
-    const bool on = chip_pin_level(&board->chip, brake_resistor_pin);
+    const bool on = chip_pin_level(&board->chip, board_wiring.brake_resistor);
     if (on != board->plant.supply.braking) {
-        switching_advance(&board->plant, board->chip.core.bus.now); /* from where the chip advanced it last */
+        switching_advance(&board->plant, board->chip.BOARD_BUS.now); /* from where the chip advanced it last */
         switching_brake_resistor(&board->plant, on);
     }
     for (int axis = 0; axis < BOARD_AXES; axis++) {
-        plant_pins_power(&board->pins[axis], chip_pin_level(&board->chip, holding_pin[axis]), seconds_of(board));
+        plant_pins_power(&board->pins[axis], chip_pin_level(&board->chip, board_wiring.holding[axis]),
+                         seconds_of(board));
     }
 }
 
@@ -239,11 +146,7 @@ static void boot(void *self)
 {
     board_t *board = (board_t *)self;
     board->tick = 0;
-    memset(&board->servo, 0, sizeof board->servo);
-    memset(&board->hal, 0, sizeof board->hal);
-    board->hal.chip = &board->chip;
-    board->hal.baud = (uint32_t)(board->baud + 0.5); /* the same for both ends of the line */
-    board->up = port_init(&board->hal, &board->servo, &board->config);
+    board_boot(board);
 }
 
 static void handler_begins(void *self) { update_pins((board_t *)self); }
@@ -251,13 +154,13 @@ static void handler_begins(void *self) { update_pins((board_t *)self); }
 /* Clocks by which the handler takes longer. */
 static uint32_t handler_ended(board_t *board, unsigned vector, uint32_t tick)
 {
-    const bool second = vector == VECTOR_ADC_CC0;
-    const bool loop = vector == VECTOR_M1 || second;
-    const bool starts = board->starting && vector == VECTOR_START;
+    const bool second = vector == board_wiring.vector_m2;
+    const bool loop = vector == board_wiring.vector_m1 || second;
+    const bool starts = board->starting && vector == board_wiring.vector_start;
     const bool published = second && tick != board->tick;
     board->tick = second ? tick : board->tick; /* another handler may end in it, after the snapshot */
     board->starting = board->starting && !starts;
-    board->chip.core.stop = board->chip.core.stop || starts || (board->recording && published);
+    board->chip.BOARD_BUS.stop = board->chip.BOARD_BUS.stop || starts || (board->recording && published);
     const uint32_t stall = loop ? board->stall_clocks : 0u;
     board->stall_clocks -= stall;
     return stall;
@@ -267,8 +170,8 @@ static uint32_t interrupt(void *self, unsigned vector)
 {
     board_t *board = (board_t *)self;
     handler_begins(self);
-    port_isr(&board->hal, (uint16_t)vector);
-    return handler_ended(board, vector, board->servo.snapshot.tick);
+    board_interrupt(board, vector);
+    return handler_ended(board, vector, board->linked.servo.snapshot.tick);
 }
 
 static uint32_t handler_ends(void *self, unsigned vector)
@@ -279,13 +182,7 @@ static uint32_t handler_ends(void *self, unsigned vector)
 
 static const program_hooks_t hooks = {handler_begins, handler_ends};
 
-static void background(void *self)
-{
-    board_t *board = (board_t *)self;
-    if (board->up) {
-        servo_background(&board->servo);
-    }
-}
+static void background(void *self) { board_background((board_t *)self); }
 
 static const chip_environment_t environment = {
     .advance = advance_plant,
@@ -293,9 +190,9 @@ static const chip_environment_t environment = {
     .handle_events = handle_events,
     .deferrable_edges_changed = deferrable_edges_changed,
     .report_deferred = report_deferred,
-    .set_gates = set_gates,
+    .set_gates = board_set_gates,
     .outputs_changed = outputs_changed,
-    .convert = convert,
+    .convert = board_convert,
     .boot = boot,
     .interrupt = interrupt,
     .background = background,
@@ -303,8 +200,8 @@ static const chip_environment_t environment = {
 
 flash_t *board_flash(board_t *board, uint64_t *now_ns)
 {
-    *now_ns = board->chip.core.bus.now * CLOCK_NS;
-    return &board->chip.ftfl.flash;
+    *now_ns = board_clocks_ns(board->chip.BOARD_BUS.now);
+    return &board->chip.BOARD_FLASH;
 }
 
 /* ---- board.h -------------------------------------------------------------------------------------------------------- */
@@ -314,7 +211,7 @@ static void **allocated(board_t *board) { return (void **)(void *)board - 1; }
 
 static void refuse_program(board_t *board, const char *problem)
 {
-    bus_t *bus = &board->chip.core.bus;
+    bus_t *bus = &board->chip.BOARD_BUS;
     if (problem != NULL && setjmp(bus->escape) == 0) {
         bus_fail(bus, "%s", problem);
     }
@@ -331,18 +228,10 @@ board_t *board_new(const board_config_t *config)
     board->baud = config->baud;
     board_servo_config(config, &board->config);
     switching_init(&board->plant, config);
-    const chip_config_t chip = {
-        .wiring = wiring,
-        .baud = config->baud,
-        .crossbar_clocks = SYNC_CLOCKS,
-        .flash = config->flash,
-        .seed = config->seed,
-        .core = {config->core.cycles_per_instruction, config->core.entry_cycles},
-    };
-    chip_init(&board->chip, &chip, &environment, board);
+    board_chip_init(board, config, &environment);
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         for (int line = 0; line < 2; line++) {
-            chip_pin(&board->chip, encoder_pin[axis][line], switching_line(&board->plant, axis, line));
+            chip_pin(&board->chip, board_wiring.encoder[axis][line], switching_line(&board->plant, axis, line));
         }
         plant_pins_init(&board->pins[axis], &config->axis[axis]);
         switching_set_friction(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
@@ -350,10 +239,11 @@ board_t *board_new(const board_config_t *config)
         show_contacts(board, axis);
     }
     if (config->elf != NULL) {
-        board->program.timeless = board->chip.core.unit_clocks == 0u;
+        board->program.timeless = board_timeless(board);
         refuse_program(board,
-                       program_load(&board->program, &board->chip, &hooks, config->elf, config->elf_size,
-                                    (config->servo != NULL) ? &board->config : NULL, (uint32_t)(board->baud + 0.5)));
+                       program_load(&board->program, &board_program_chip, &board->chip, &board->chip.BOARD_BUS, &hooks,
+                                    config->elf, config->elf_size, (config->servo != NULL) ? &board->config : NULL,
+                                    (uint32_t)(board->baud + 0.5)));
     }
     return board;
 }
@@ -366,7 +256,7 @@ static void run_chip(board_t *board, uint64_t until)
     if (board->program.loaded) {
         program_run(&board->program, until);
     } else {
-        (void)chip_run(&board->chip, until);
+        board_run_linked(board, until);
     }
 }
 
@@ -382,15 +272,14 @@ static void boot_once(board_t *board)
     run_chip(board, board->program.loaded ? BOOT_MAX : 0u);
     if (!board->program.loaded) {
         board->starting = true;
-        run_chip(board, board->chip.core.bus.now + START_MAX);
+        run_chip(board, board->chip.BOARD_BUS.now + START_MAX);
     } else if (!board->starting && program_contract(&board->program) != CATALOGUE_HASH) {
         refuse_program(board, "the ELF file has another table of variables (variables.toml) than this version");
     }
-    board->zero = board->chip.core.bus.now;
+    board->zero = board->chip.BOARD_BUS.now;
     if (!board->starting) {
-        const pwm_submodule_t *master = &board->chip.pwm.module[0].sub[0];
-        board->zero = master->origin + master->distance[PWM_CYCLE];
-        board->chip.core.stop = false;
+        board->zero = board_time_zero(board);
+        board->chip.BOARD_BUS.stop = false;
         run_chip(board, board->zero - 1u);
     }
     board->starting = false;
@@ -407,7 +296,7 @@ void board_free(board_t *board)
 servo_t *board_servo(board_t *board)
 {
     boot_once(board);
-    return &board->servo;
+    return &board->linked.servo;
 }
 
 uint64_t board_program_identity(const board_t *board) { return board->program.identity; }
@@ -416,20 +305,20 @@ uint8_t board_software_read(board_t *board, uint32_t address, uint8_t *data, uin
 {
     boot_once(board);
     return board->program.loaded ? program_read(&board->program, address, data, size)
-                                 : servo_read(&board->servo, address, data, size);
+                                 : servo_read(&board->linked.servo, address, data, size);
 }
 
 uint8_t board_software_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size)
 {
     boot_once(board);
     return board->program.loaded ? program_write(&board->program, address, data, size)
-                                 : servo_write(&board->servo, address, data, size);
+                                 : servo_write(&board->linked.servo, address, data, size);
 }
 
 const void *board_software_snapshot(board_t *board)
 {
     return board->program.loaded ? (const void *)program_snapshot(&board->program)
-                                 : (const void *)&board->servo.snapshot;
+                                 : (const void *)&board->linked.servo.snapshot;
 }
 
 void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
@@ -438,26 +327,26 @@ void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
     if (board->program.loaded) {
         program_set_winding(&board->program, axis, temperature);
     } else {
-        board->servo.axis[axis].diagnosis.winding.temperature = temperature;
+        board->linked.servo.axis[axis].diagnosis.winding.temperature = temperature;
     }
 }
 
 const char *board_error(const board_t *board)
 {
-    return board->chip.core.bus.failed ? board->chip.core.bus.error : NULL;
+    return board->chip.BOARD_BUS.failed ? board->chip.BOARD_BUS.error : NULL;
 }
 
 /* Returns true if it has stopped before `until_ns`, for a slow tick. */
 static bool run(board_t *board, uint64_t until_ns)
 {
     boot_once(board);
-    board->chip.core.stop = false;
-    run_chip(board, board->zero + until_ns / CLOCK_NS);
+    board->chip.BOARD_BUS.stop = false;
+    run_chip(board, board->zero + board_clocks(until_ns));
     const uint64_t reached =
-        (board->chip.core.bus.now > board->zero) ? (board->chip.core.bus.now - board->zero) * CLOCK_NS : 0u;
-    if (board->chip.core.stop || board->chip.core.bus.failed) {
+        (board->chip.BOARD_BUS.now > board->zero) ? board_clocks_ns(board->chip.BOARD_BUS.now - board->zero) : 0u;
+    if (board->chip.BOARD_BUS.stop || board->chip.BOARD_BUS.failed) {
         board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
-        return board->chip.core.stop;
+        return board->chip.BOARD_BUS.stop;
     }
     board->time_ns = (until_ns > board->time_ns) ? until_ns : board->time_ns;
     board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
@@ -474,16 +363,15 @@ const char *board_rest(board_t *board)
     if (board->program.loaded) {
         return NULL; /* at any time */
     }
-    board->chip.core.stop_resting = true;
-    (void)run(board, board->chip.core.resting ? board->time_ns : board->time_ns + REST_NS);
-    board->chip.core.stop_resting = false;
-    return (board->chip.core.resting || board->chip.core.bus.failed) ? NULL
-                                                                     : "the software has not come to rest within 1 ms";
+    bool *resting = board_stop_resting(board, true);
+    (void)run(board, *resting ? board->time_ns : board->time_ns + REST_NS);
+    (void)board_stop_resting(board, false);
+    return (*resting || board->chip.BOARD_BUS.failed) ? NULL : "the software has not come to rest within 1 ms";
 }
 
 void board_restored(board_t *board)
 {
-    board->chip.core.alive = false;
+    board_restored_linked(board);
     board->program.arm.failed = false;
 }
 
@@ -499,10 +387,10 @@ bool board_run_to_tick(board_t *board, uint64_t until_ns)
 
 size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
 {
-    board->chip.core.bus.trace = (trace_t){.entry = log, .size = 0, .remaining = room};
+    board->chip.BOARD_BUS.trace = (trace_t){.entry = log, .size = 0, .remaining = room};
     board_advance(board, until_ns);
-    const size_t size = board->chip.core.bus.trace.size;
-    board->chip.core.bus.trace = (trace_t){.entry = NULL, .size = 0, .remaining = 0};
+    const size_t size = board->chip.BOARD_BUS.trace.size;
+    board->chip.BOARD_BUS.trace = (trace_t){.entry = NULL, .size = 0, .remaining = 0};
     return size;
 }
 
@@ -521,18 +409,18 @@ int board_poke(board_t *board, uint32_t address, uint16_t value)
 size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
 {
     boot_once(board);
-    return sci_line_write(&board->chip.sci, data, size);
+    return chip_line_write(&board->chip, data, size);
 }
 
 size_t board_serial_out(board_t *board, uint8_t *data, size_t room)
 {
-    return sci_line_read(&board->chip.sci, data, room);
+    return serial_line_read(&board->chip.BOARD_LINE, data, room);
 }
 
 uint64_t board_serial_next_ns(const board_t *board)
 {
-    const uint64_t clock = sci_line_next(&board->chip.sci);
-    return (clock == CHIP_NEVER) ? UINT64_MAX : (clock > board->zero) ? (clock - board->zero) * CLOCK_NS : 0u;
+    const uint64_t clock = chip_line_next(&board->chip);
+    return (clock == CHIP_NEVER) ? UINT64_MAX : (clock > board->zero) ? board_clocks_ns(clock - board->zero) : 0u;
 }
 
 void board_truth(const board_t *board, int axis, board_truth_t *truth)
@@ -572,10 +460,10 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
 void board_stats(const board_t *board, board_stats_t *stats)
 {
     *stats = (board_stats_t){
-        .serial_overruns = board->chip.sci.line.overruns,
-        .serial_lost = board->chip.sci.line.lost,
+        .serial_overruns = board->chip.BOARD_LINE.overruns,
+        .serial_lost = board->chip.BOARD_LINE.lost,
         .breaks = board->breaks,
-        .watchdog_services = board->chip.cop.services,
+        .watchdog_services = board->chip.BOARD_WATCHDOG.services,
     };
 }
 
@@ -622,14 +510,14 @@ void board_obstruct_shaft(board_t *board, int axis, double below, double above)
 void board_drive_rotor(board_t *board, int axis, double theta, double omega, double seconds)
 {
     boot_once(board);
-    switching_advance(&board->plant, board->chip.core.bus.now);
+    switching_advance(&board->plant, board->chip.BOARD_BUS.now);
     switching_drive_shaft(&board->plant, axis, theta, omega, seconds);
     chip_plant_changed(&board->chip);
 }
 
 void board_release_shaft(board_t *board, int axis)
 {
-    switching_advance(&board->plant, board->chip.core.bus.now);
+    switching_advance(&board->plant, board->chip.BOARD_BUS.now);
     switching_release_shaft(&board->plant, axis);
     chip_plant_changed(&board->chip);
 }
@@ -651,7 +539,10 @@ void board_cut_wire(board_t *board, int axis, int pin, bool cut)
     show_contacts(board, axis);
 }
 
-void board_stall_core(board_t *board, double seconds) { board->stall_clocks = (uint32_t)(seconds * 1e9 / CLOCK_NS); }
+void board_stall_core(board_t *board, double seconds)
+{
+    board->stall_clocks = (uint32_t)(seconds * 1e9 * BOARD_CLOCK_MHZ / 1000.0);
+}
 
 void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared)
 {

@@ -1,19 +1,15 @@
 #include "program.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "arm/elf.h"
 #include "comm/status.h"
 
-#define FLASH_BASE 0u
-#define FLASH_ROOM 0x40000u
-#define RAM_BASE 0x20000000u
 #define DATA_BASE 0x60000000u /* of a call: bytes of the host */
-#define PERIPHERALS 0x40000000u
-#define PERIPHERALS_SIZE 0x20000u /* 64 k words */
 
-enum { REGION_FLASH, REGION_RAM, REGION_DATA, REGIONS };
+enum { REGION_FLASH, REGION_RAM, REGION_DATA_RAM, REGION_DATA, REGIONS };
 enum { LAYOUT_SNAPSHOT, LAYOUT_SNAPSHOT_SIZE, LAYOUT_WINDING, LAYOUT_WORDS = LAYOUT_WINDING + 2 };
 
 /* ---- time ----------------------------------------------------------------------------------------------------------- */
@@ -23,7 +19,7 @@ static program_t *program_of(void *self) { return (program_t *)self; }
 /* Pass the present levels of the requests on. */
 static void update_requests(program_t *program)
 {
-    bus_t *bus = &program->chip->core.bus;
+    bus_t *bus = program->bus;
     if (bus->changed) {
         bus->changed = false;
         arm_request(&program->arm, 0u, bus->request[0]);
@@ -34,24 +30,21 @@ static void update_requests(program_t *program)
 /* Handle what happens up to a clock, and pass the time up to there. */
 static void handle_events(program_t *program, uint64_t until)
 {
-    core_t *core = &program->chip->core;
-    bus_t *bus = &core->bus;
+    bus_t *bus = program->bus;
     if (until >= program->next || bus->changed) {
-        while (core_step(core, until)) {
+        while (bus_step(bus, until, &program->next)) {
         }
-        program->next = core->next;
         update_requests(program);
     } else if (until > bus->now) {
-        bus->now = until;
-        bus->polls = 0;
+        bus_pass_time(bus, until);
     }
 }
 
 /* The next event may have come nearer. */
 static void look_for_events(program_t *program)
 {
-    const bus_t *bus = &program->chip->core.bus;
-    program->next = events_earlier(EVENT_CLOCK(events_next(&bus->events)), bus->environment->next_event(bus->board));
+    const bus_t *bus = program->bus;
+    program->next = events_earlier(EVENT_CLOCK(events_next(&bus->events)), bus_next_of_plant(bus));
 }
 
 /* Cycles up to a clock, at least one: an instruction begins before it. */
@@ -71,7 +64,7 @@ static void before_access(program_t *program)
         return;
     }
     if (program->timeless && program->arm.state.primask != 0u) { /* the boot, as that of the linked firmware */
-        program->clock += program->chip->core.bus.access_clocks;
+        program->clock += program->bus->access_clocks;
     }
     handle_events(program, program->clock + taken(program, arm_begun(&program->arm)));
 }
@@ -90,39 +83,28 @@ static void after_access(program_t *program)
     }
     const int32_t spent = (int32_t)taken(program, arm_elapsed(&program->arm));
     look_for_events(program);
-    state->given = cycles_until(program->clock, events_earlier(program->next, program->chip->core.limit + 1u));
+    state->given = cycles_until(program->clock, events_earlier(program->next, program->bus->limit + 1u));
     state->left = state->given - spent;
 }
 
 /* ---- the owner of the core ------------------------------------------------------------------------------------------ */
 
-static bool is_register(uint32_t address, unsigned size)
-{
-    return address - PERIPHERALS < PERIPHERALS_SIZE && size == sizeof(uint16_t);
-}
-
 static bool read_register(void *self, uint32_t address, unsigned size, uint32_t *value)
 {
     program_t *program = program_of(self);
-    if (!is_register(address, size)) {
-        return false;
-    }
     before_access(program);
-    *value = chip_read(program->chip, (address - PERIPHERALS) / 2u);
+    const bool found = program->kind->read(program->chip, address, size, value);
     after_access(program);
-    return true;
+    return found;
 }
 
 static bool write_register(void *self, uint32_t address, unsigned size, uint32_t value)
 {
     program_t *program = program_of(self);
-    if (!is_register(address, size)) {
-        return false;
-    }
     before_access(program);
-    chip_write(program->chip, (address - PERIPHERALS) / 2u, (uint16_t)value);
+    const bool found = program->kind->write(program->chip, address, size, value);
     after_access(program);
-    return true;
+    return found;
 }
 
 static bool no_breakpoint(void *self, unsigned comment)
@@ -137,7 +119,7 @@ static void reset_by_software(void *self) { arm_fail(&program_of(self)->arm, "a 
 static void handler_begins(void *self, unsigned interrupt)
 {
     program_t *program = program_of(self);
-    bus_t *bus = &program->chip->core.bus;
+    bus_t *bus = program->bus;
     bus_note(bus, TRACE_ENTER, interrupt, program->arm.state.nvic.priority[interrupt]);
     program->hooks->begins(bus->board);
 }
@@ -145,7 +127,7 @@ static void handler_begins(void *self, unsigned interrupt)
 static void handler_ends(void *self, unsigned interrupt)
 {
     program_t *program = program_of(self);
-    bus_t *bus = &program->chip->core.bus;
+    bus_t *bus = program->bus;
     bus_note(bus, TRACE_LEAVE, interrupt, 0);
     program->clock += program->hooks->ends(bus->board, interrupt);
 }
@@ -163,9 +145,8 @@ static const arm_owner_t owner = {
 
 static void power_up(program_t *program)
 {
-    core_t *core = &program->chip->core;
-    core->must_boot = false;
-    program->clock = core->bus.now;
+    program->bus->must_boot = false;
+    program->clock = program->bus->now;
     arm_reset(&program->arm);
 }
 
@@ -173,46 +154,61 @@ static void power_up(program_t *program)
 static void run_core(program_t *program)
 {
     arm_t *arm = &program->arm;
-    core_t *core = &program->chip->core;
+    bus_t *bus = program->bus;
     arm_give(arm, 0);
     if (arm->state.changed != 0u) {
         arm_take_interrupt(arm);
         program->next = 0; /* a handler may have moved the plant */
     } else if (arm->state.sleeping != 0u) {
-        (void)core_step(core, core->limit);
+        (void)bus_step(bus, bus->limit, &program->next);
         program->next = 0;
-        program->clock = (program->clock > core->bus.now) ? program->clock : core->bus.now;
+        program->clock = (program->clock > bus->now) ? program->clock : bus->now;
     } else {
-        arm_give(arm, cycles_until(program->clock, events_earlier(program->next, core->limit + 1u)));
+        arm_give(arm, cycles_until(program->clock, events_earlier(program->next, bus->limit + 1u)));
         (void)arm_run(arm);
     }
     program->clock += taken(program, arm_elapsed(arm));
     arm_give(arm, 0);
     if (arm->failed) {
-        bus_fail(&core->bus, "%s", arm->error);
+        bus_fail(bus, "%s", arm->error);
     }
 }
 
 void program_run(program_t *program, uint64_t until)
 {
-    core_t *core = &program->chip->core;
-    core->limit = until;
+    bus_t *bus = program->bus;
+    bus->limit = until;
     program->next = 0;
-    if (core->bus.failed || setjmp(core->bus.escape) == ESCAPE_FAILURE) {
+    if (bus->failed || setjmp(bus->escape) == ESCAPE_FAILURE) {
         return;
     }
     for (;;) {
-        if (core->must_boot) {
+        if (bus->must_boot) {
             power_up(program);
         }
         handle_events(program, (program->clock < until) ? program->clock : until);
-        if (core->stop || program->clock > until ||
-            (program->arm.state.sleeping != 0u && core->bus.now >= until && program->arm.state.changed == 0u)) {
+        if (bus->stop || program->clock > until ||
+            (program->arm.state.sleeping != 0u && bus->now >= until && program->arm.state.changed == 0u)) {
             break;
         }
         run_core(program);
     }
-    qtmr_catch_up(&program->chip->qtmr);
+    program->kind->catch_up(program->chip);
+}
+
+/* ---- memory --------------------------------------------------------------------------------------------------------- */
+
+/* Place of `size` bytes in the memory of the program, or NULL. */
+static const uint8_t *place(const program_t *program, uint32_t address, size_t size)
+{
+    for (unsigned k = REGION_RAM; k <= REGION_DATA_RAM; k++) {
+        const arm_region_t *memory = &program->arm.region[k];
+        const uint32_t at = address - memory->base;
+        if (at < memory->size && memory->size - at >= size) {
+            return memory->bytes + at;
+        }
+    }
+    return NULL;
 }
 
 /* ---- calls ---------------------------------------------------------------------------------------------------------- */
@@ -221,7 +217,7 @@ void program_run(program_t *program, uint64_t until)
 static uint8_t call(program_t *program, uint32_t function, uint32_t address, uint8_t *data, uint16_t size)
 {
     arm_t *arm = &program->arm;
-    bus_t *bus = &program->chip->core.bus;
+    bus_t *bus = program->bus;
     arm_state_t *state = &arm->state;
     const arm_state_t before = *state;
     jmp_buf within;
@@ -259,7 +255,10 @@ uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data,
     return call(program, program->write, address, (uint8_t *)data, size); /* only read */
 }
 
-const uint8_t *program_snapshot(const program_t *program) { return program->ram + (program->snapshot - RAM_BASE); }
+const uint8_t *program_snapshot(const program_t *program)
+{
+    return place(program, program->snapshot, sizeof(snapshot_t));
+}
 
 uint32_t program_tick(const program_t *program)
 {
@@ -271,19 +270,17 @@ uint32_t program_tick(const program_t *program)
 uint32_t program_contract(const program_t *program)
 {
     uint32_t hash;
-    memcpy(&hash, program->ram + (program->servo - RAM_BASE) + offsetof(servo_t, catalogue_hash), sizeof hash);
+    memcpy(&hash, place(program, program->servo + (uint32_t)offsetof(servo_t, catalogue_hash), sizeof hash),
+           sizeof hash);
     return hash;
 }
 
 void program_set_winding(program_t *program, int axis, int32_t temperature)
 {
-    memcpy(program->ram + (program->winding[axis] - RAM_BASE), &temperature, sizeof temperature);
+    memcpy((uint8_t *)place(program, program->winding[axis], sizeof temperature), &temperature, sizeof temperature);
 }
 
 /* ---- load ----------------------------------------------------------------------------------------------------------- */
-
-static const char *const wrong_program =
-    "this is no ELF file of this version of firmware/port/mc56f84789_m4: a symbol is missing, or has another size";
 
 static bool find_symbol(const elf_t *elf, const char *name, uint32_t size, uint32_t *address)
 {
@@ -291,36 +288,54 @@ static bool find_symbol(const elf_t *elf, const char *name, uint32_t size, uint3
     return elf_symbol(elf, name, address, &found) && (size == 0u || found == size);
 }
 
-/* Addresses of what the board reads, and the constants that it sets. */
-static const char *find_symbols(program_t *program, const elf_t *elf, const servo_config_t *config, uint32_t baud)
+/* Place of `size` bytes of the program, or NULL. */
+static uint8_t *in_flash(const program_t *program, uint32_t address, size_t size)
 {
     const arm_region_t *flash = &program->arm.region[REGION_FLASH];
+    const uint32_t at = address - flash->base;
+    return (at < flash->size && flash->size - at >= size) ? flash->bytes + at : NULL;
+}
+
+/* Addresses of what the board reads, and the constants that it sets. */
+static bool find_symbols(program_t *program, const elf_t *elf, const servo_config_t *config, uint32_t baud)
+{
     uint32_t layout_at, config_at, baud_at, layout[LAYOUT_WORDS];
     if (!find_symbol(elf, "servo", 0u, &program->servo) || !find_symbol(elf, "servo_read", 0u, &program->read) ||
         !find_symbol(elf, "servo_write", 0u, &program->write) ||
         !find_symbol(elf, "image_layout", sizeof layout, &layout_at) ||
         !find_symbol(elf, "servo_config", sizeof *config, &config_at) ||
         !find_symbol(elf, "image_baud", sizeof baud, &baud_at)) {
-        return wrong_program;
+        return false;
     }
-    if (layout_at + sizeof layout > flash->size || config_at + sizeof *config > flash->size ||
-        baud_at + sizeof baud > flash->size) {
-        return wrong_program;
+    const uint8_t *numbers = in_flash(program, layout_at, sizeof layout);
+    uint8_t *settings = in_flash(program, config_at, sizeof *config), *rate = in_flash(program, baud_at, sizeof baud);
+    if (numbers == NULL || settings == NULL || rate == NULL) {
+        return false;
     }
-    memcpy(layout, flash->bytes + layout_at, sizeof layout);
+    memcpy(layout, numbers, sizeof layout);
     program->snapshot = program->servo + layout[LAYOUT_SNAPSHOT];
     program->winding[0] = program->servo + layout[LAYOUT_WINDING];
     program->winding[1] = program->servo + layout[LAYOUT_WINDING + 1];
     if (layout[LAYOUT_SNAPSHOT_SIZE] != sizeof(snapshot_t) ||
-        program->snapshot - RAM_BASE > PROGRAM_RAM - sizeof(snapshot_t) ||
-        program->winding[0] - RAM_BASE > PROGRAM_RAM - 4u || program->winding[1] - RAM_BASE > PROGRAM_RAM - 4u) {
-        return wrong_program;
+        place(program, program->servo, sizeof(uint32_t)) == NULL ||
+        place(program, program->snapshot, sizeof(snapshot_t)) == NULL ||
+        place(program, program->winding[0], 4u) == NULL || place(program, program->winding[1], 4u) == NULL) {
+        return false;
     }
     if (config != NULL) {
-        memcpy(flash->bytes + config_at, config, sizeof *config);
+        memcpy(settings, config, sizeof *config);
     }
-    memcpy(flash->bytes + baud_at, &baud, sizeof baud);
-    return NULL;
+    memcpy(rate, &baud, sizeof baud);
+    return true;
+}
+
+/* Why a program is refused that has other symbols than the port of this chip, which `wrong` then names. */
+static const char *wrong_program(char *wrong, size_t size, const program_chip_t *kind)
+{
+    (void)snprintf(wrong, size,
+                   "this is no ELF file of this version of firmware/port/%s: a symbol is missing, or has another size",
+                   kind->port);
+    return wrong;
 }
 
 /* FNV-1a of the program with its constants. */
@@ -333,8 +348,9 @@ static uint64_t identity_of(const arm_region_t *flash)
     return sum;
 }
 
-const char *program_load(program_t *program, chip_t *chip, const program_hooks_t *hooks, const uint8_t *elf,
-                         size_t size, const servo_config_t *config, uint32_t baud)
+const char *program_load(program_t *program, const program_chip_t *kind, void *chip, bus_t *bus,
+                         const program_hooks_t *hooks, const uint8_t *elf, size_t size, const servo_config_t *config,
+                         uint32_t baud)
 {
     const elf_t file = {elf, size};
     const char *problem = elf_check(&file);
@@ -342,8 +358,9 @@ const char *program_load(program_t *program, chip_t *chip, const program_hooks_t
         return problem;
     }
     arm_region_t regions[REGIONS] = {
-        {FLASH_BASE, elf_extent(&file, FLASH_BASE, FLASH_ROOM), NULL, false},
-        {RAM_BASE, PROGRAM_RAM, program->ram, true},
+        {kind->flash.base, elf_extent(&file, kind->flash.base, kind->flash.size), NULL, false},
+        {kind->ram.base, kind->ram.size, program->ram, true},
+        {kind->data_ram.base, kind->data_ram.size, program->ram + kind->ram.size, true},
         {DATA_BASE, 0, NULL, false},
     };
     regions[REGION_FLASH].bytes = (uint8_t *)calloc(regions[REGION_FLASH].size + 1u, 1);
@@ -351,13 +368,15 @@ const char *program_load(program_t *program, chip_t *chip, const program_hooks_t
         free(regions[REGION_FLASH].bytes);
         return "no memory for the program";
     }
+    program->kind = kind;
     program->chip = chip;
+    program->bus = bus;
     program->hooks = hooks;
-    program->ram_used = PROGRAM_RAM;
+    program->ram_used = kind->ram.size + kind->data_ram.size;
     program->loaded = true;
     problem = elf_load(&file, &program->arm.region[REGION_FLASH]);
-    if (problem == NULL) {
-        problem = find_symbols(program, &file, config, baud);
+    if (problem == NULL && !find_symbols(program, &file, config, baud)) {
+        problem = wrong_program(program->arm.error, sizeof program->arm.error, kind);
     }
     program->identity = identity_of(&program->arm.region[REGION_FLASH]);
     return problem;

@@ -1,17 +1,30 @@
 /* program.h - the software of a board as the program of an ELF file, executed instruction by instruction.
  *
- * The peripherals of the chip are at 0x40000000 + twice their word address, its interrupt vectors are the interrupts of the NVIC, and
- * a cycle of the core is a clock of the bus: a chip that does not exist (servo_twin/doc/elf.md). An access to a register happens at
- * the clock at which its instruction begins.
+ * The chip around the core is a program_chip_t: memory map and registers. Its interrupt vectors are the interrupts of the NVIC, and a
+ * cycle of the core is a clock of the chip. An access to a register happens at the clock at which its instruction begins.
  */
 #ifndef SERVO_TWIN_PROGRAM_H
 #define SERVO_TWIN_PROGRAM_H
 
 #include "app/servo.h"
 #include "arm/arm.h"
-#include "chip/chip.h"
+#include "chip/bus.h"
 
-#define PROGRAM_RAM 0x8000u /* bytes */
+#define PROGRAM_RAM 0x30000u /* bytes, of all memories of a chip at most */
+
+typedef struct {
+    uint32_t base, size; /* [bytes] */
+} program_memory_t;
+
+/* A chip, apart from its core. */
+typedef struct {
+    const char *port; /* folder of the port whose programs it executes */
+    program_memory_t flash, ram, data_ram; /* data_ram: RAM from which nothing is executed; size 0: none */
+    /* Access to a register; false: there is none of this size. */
+    bool (*read)(void *chip, uint32_t address, unsigned size, uint32_t *value);
+    bool (*write)(void *chip, uint32_t address, unsigned size, uint32_t value);
+    void (*catch_up)(void *chip); /* at the end of a run */
+} program_chip_t;
 
 /* The handler of a vector begins, or has ended; the result are clocks by which it takes longer. */
 typedef struct {
@@ -21,7 +34,9 @@ typedef struct {
 
 typedef struct program {
     arm_t arm; /* behind its state nothing is part of the state of a board */
-    chip_t *chip;
+    const program_chip_t *kind;
+    void *chip; /* first argument of its functions */
+    bus_t *bus; /* of the chip */
     const program_hooks_t *hooks;
     bool loaded;
     bool calling;      /* a function runs as by a debugger: no time passes */
@@ -30,13 +45,14 @@ typedef struct program {
     uint64_t clock;    /* of the next instruction [bus clocks] */
     uint64_t next;     /* clock before which nothing happens; 0: unknown */
     uint32_t servo, snapshot, winding[2], read, write; /* addresses in the program */
-    size_t ram_first, ram_used; /* 0, PROGRAM_RAM; without a program 0 */
-    uint8_t ram[PROGRAM_RAM];
+    size_t ram_first, ram_used; /* 0, bytes of the chip; without a program 0 */
+    uint8_t ram[PROGRAM_RAM]; /* `ram` of the chip, then `data_ram` */
 } program_t;
 
-/* Load an ELF file with the port firmware/port/mc56f84789_m4. NULL, or why it is refused. `config`: NULL for that of the file. */
-const char *program_load(program_t *program, chip_t *chip, const program_hooks_t *hooks, const uint8_t *elf,
-                         size_t size, const servo_config_t *config, uint32_t baud);
+/* Load an ELF file of the port of this chip. NULL, or why it is refused. `config`: NULL for that of the file. */
+const char *program_load(program_t *program, const program_chip_t *kind, void *chip, bus_t *bus,
+                         const program_hooks_t *hooks, const uint8_t *elf, size_t size, const servo_config_t *config,
+                         uint32_t baud);
 void program_free(program_t *program);
 
 /* As chip_run. */

@@ -115,8 +115,9 @@ def make_ffi(
     native: Sequence[Path],
     options: Sequence[str] = (),
     sources: Sequence[Path] | None = None,
+    include: Sequence[Path] = (),
 ) -> FFI:
-    """Build description of one extension module; `sources` replaces the sources of the firmware.
+    """Build description of one extension module; `sources` replaces those of the firmware, `include` adds folders.
 
     The first file of `native` includes the definition of ``struct board``.
     """
@@ -124,7 +125,7 @@ def make_ffi(
     compiled = [*OPTIONS, *WARNINGS, *options, *EXTRA]
     pointers = write_pointers(
         native[0],
-        [NATIVE, FIRMWARE],
+        [NATIVE, FIRMWARE, *include],
         options,
         build_identity([*files, *headers], compiled),
         PACKAGE / "build" / "pointers" / native[0].stem,
@@ -136,7 +137,7 @@ def make_ffi(
         module,
         _PREAMBLE,
         sources=_relative(files),
-        include_dirs=_relative([NATIVE, FIRMWARE, pointers.parent]),
+        include_dirs=_relative([NATIVE, FIRMWARE, *include, pointers.parent]),
         depends=_relative([*headers, pointers]),
         libraries=["m"],
         extra_compile_args=[*compiled, f"-isystem{sysconfig.get_paths()['include']}"],
@@ -146,8 +147,9 @@ def make_ffi(
 
 
 IDEAL = [NATIVE / name for name in ("board_ideal_layout.c", "board_ideal.c", "ideal_chip.c", "uart.c")]
+_MC56F84789 = NATIVE / "boards" / "mc56f84789"
 _REGISTERS = [
-    *(NATIVE / name for name in ("board_registers.c", "program.c")),
+    *(NATIVE / "board_registers.c", NATIVE / "program.c", NATIVE / "serial_line.c", _MC56F84789 / "board_chip.c"),
     *(path for folder in ("arm", "chip") for path in sorted((NATIVE / folder).glob("*.c"))),
 ]
 _ON_HOST = ["-DCHIP_ON_HOST"]
@@ -167,4 +169,4 @@ def ffi() -> FFI:
 
 def registers_ffi() -> FFI:
     """``servo_twin._registers``."""
-    return make_ffi("servo_twin._registers", _REGISTERS, _ON_HOST, charged_sources())
+    return make_ffi("servo_twin._registers", _REGISTERS, _ON_HOST, charged_sources(), [_MC56F84789])

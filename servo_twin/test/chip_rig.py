@@ -77,7 +77,7 @@ class Event(NamedTuple):
 
 
 def build(folder: Path) -> Native:
-    sources = [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]
+    sources = [NATIVE / "flash.c", NATIVE / "serial_line.c", *sorted((NATIVE / "chip").glob("*.c"))]
     return compile_c(folder, "_chip_under_test", ["chip/chip.h"], sources, cdef=CDEF, preamble=PREAMBLE)
 
 
@@ -338,7 +338,9 @@ class ChipRig:
 
     def host_read(self) -> bytes:
         buffer = self.ffi.new("uint8_t[]", 70_000)
-        return bytes(self.ffi.buffer(buffer, self.lib.sci_line_read(self.line, buffer, 70_000)))
+        return bytes(
+            self.ffi.buffer(buffer, self.lib.serial_line_read(self.ffi.addressof(self.line.line), buffer, 70_000))
+        )
 
     def name(self, address: int) -> str:
         buffer = self.ffi.new("char[]", 64)

@@ -13,7 +13,7 @@ void bus_fail(bus_t *bus, const char *format, ...)
         va_start(arguments, format);
         (void)vsnprintf(text, sizeof text, format, arguments);
         va_end(arguments);
-        (void)snprintf(bus->error, sizeof bus->error, "%.150s (at %.2f us)", text, (double)bus->now * 0.01);
+        (void)snprintf(bus->error, sizeof bus->error, "%.150s (at %.2f us)", text, (double)bus->now / BOARD_CLOCK_MHZ);
     }
     bus->failed = true;
     longjmp(bus->escape, ESCAPE_FAILURE);

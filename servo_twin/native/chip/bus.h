@@ -11,6 +11,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "board_clock.h"
 #include "chip/environment.h"
 #include "chip/events.h"
 #include "chip/trace.h"
@@ -26,7 +27,7 @@
 #define NOINLINE
 #endif
 
-#define CHIP_BUS_HZ 100000000
+#define CHIP_BUS_HZ (BOARD_CLOCK_MHZ * 1000000)
 #define CHIP_ERROR_SIZE 200 /* bytes */
 
 #define PWM_MODULES 2
@@ -118,6 +119,9 @@ typedef struct {
     bool changed;
     sim_control_t sim;
     bool background_due;
+    uint64_t limit; /* last clock of this run */
+    bool stop; /* end the run before the next event */
+    bool must_boot; /* the software starts anew */
     uint32_t polls; /* reads of registers since time last moved */
     uint64_t access_clocks; /* per access to a register while the software boots */
     trace_t trace;
@@ -181,6 +185,39 @@ static inline void bus_sync_plant(bus_t *bus)
         bus->plant_clock = bus->now;
         bus->environment->advance(bus->board, bus->now);
     }
+}
+
+/* The present clock becomes this one. */
+static inline void bus_pass_time(bus_t *bus, uint64_t clock)
+{
+    bus->now = clock;
+    bus->polls = 0;
+}
+
+static inline uint64_t bus_next_of_plant(const bus_t *bus) { return bus->environment->next_event(bus->board); }
+
+/* Handle the next event up to `until`; without one, go to that clock and return false. Then *next is the clock of the next event. */
+static inline bool bus_step(bus_t *bus, uint64_t until, uint64_t *next)
+{
+    const uint64_t key = events_next(&bus->events);
+    const uint64_t clock = EVENT_CLOCK(key);
+    const uint64_t plant = bus_next_of_plant(bus);
+    *next = events_earlier(plant, clock);
+    if (*next > until) {
+        if (until > bus->now) {
+            bus_pass_time(bus, until);
+        }
+        return false;
+    }
+    if (plant <= clock) { /* the plant first: it may change which events are due */
+        bus_pass_time(bus, plant);
+        bus_sync_plant(bus);
+        bus->environment->handle_events(bus->board);
+    } else {
+        bus_pass_time(bus, clock);
+        events_handle(&bus->events, EVENT_SOURCE(key));
+    }
+    return true;
 }
 
 static inline void bus_note(bus_t *bus, trace_kind_t kind, uint32_t a, uint32_t b)

@@ -238,7 +238,7 @@ int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
     memcpy(&within, &chip->core.bus.escape, sizeof within);
     switch (setjmp(chip->core.bus.escape)) {
     case 0:
-        if (!chip->core.bus.failed && !chip->core.must_boot) {
+        if (!chip->core.bus.failed && !chip->core.bus.must_boot) {
             chip_write(chip, address, value);
         }
         break;

@@ -13,40 +13,7 @@ CORE_THREAD int core_left = INT_MAX;
 
 /* ---- events --------------------------------------------------------------------------------------------------------- */
 
-static inline void pass_time(core_t *core, uint64_t clock)
-{
-    core->bus.now = clock;
-    core->bus.polls = 0;
-}
-
-static inline uint64_t next_of_plant(const bus_t *bus) { return bus->environment->next_event(bus->board); }
-
-/* Handle the next event up to `until`; without one, go to that clock and return false. */
-static inline bool step(core_t *core, uint64_t until)
-{
-    bus_t *bus = &core->bus;
-    const uint64_t key = events_next(&bus->events);
-    const uint64_t clock = EVENT_CLOCK(key);
-    const uint64_t plant = next_of_plant(bus);
-    core->next = events_earlier(plant, clock);
-    if (core->next > until) {
-        if (until > bus->now) {
-            pass_time(core, until);
-        }
-        return false;
-    }
-    if (plant <= clock) { /* the plant first: it may change which events are due */
-        pass_time(core, plant);
-        bus_sync_plant(bus);
-        bus->environment->handle_events(bus->board);
-    } else {
-        pass_time(core, clock);
-        events_handle(&bus->events, EVENT_SOURCE(key));
-    }
-    return true;
-}
-
-bool core_step(core_t *core, uint64_t until) { return step(core, until); }
+static inline bool step(core_t *core, uint64_t until) { return bus_step(&core->bus, until, &core->next); }
 
 static void enter(core_t *core)
 {
@@ -66,14 +33,14 @@ static void leave(core_t *core)
 /* As step(); suspended at the end of a core_run. */
 static bool run_event(core_t *core, uint64_t until)
 {
-    if (core->stop) {
+    if (core->bus.stop) {
         leave(core);
         return true;
     }
-    if (core->booting || until <= core->limit) {
+    if (core->booting || until <= core->bus.limit) {
         return step(core, until);
     }
-    if (!step(core, core->limit)) {
+    if (!step(core, core->bus.limit)) {
         leave(core);
     }
     return true;
@@ -84,7 +51,7 @@ static bool run_event(core_t *core, uint64_t until)
 static inline void give_until(core_t *core, uint64_t event)
 {
     const bus_t *bus = &core->bus;
-    const uint64_t next = events_earlier(event, core->limit);
+    const uint64_t next = events_earlier(event, core->bus.limit);
     const uint64_t clocks = (next > bus->now) ? next - bus->now : 0;
     core->horizon = next;
     const bool far = core->unit_clocks == 0 || clocks > UINT32_MAX;
@@ -96,7 +63,7 @@ static inline void give_until(core_t *core, uint64_t event)
 void core_give(core_t *core)
 {
     const bus_t *bus = &core->bus;
-    give_until(core, events_earlier(EVENT_CLOCK(events_next(&bus->events)), next_of_plant(bus)));
+    give_until(core, events_earlier(EVENT_CLOCK(events_next(&bus->events)), bus_next_of_plant(bus)));
 }
 
 void core_settle(core_t *core)
@@ -112,8 +79,8 @@ void core_settle(core_t *core)
     if (clocks == 0) {
         return;
     }
-    if (bus->now + clocks < core->horizon && !bus->changed && !core->stop) {
-        pass_time(core, bus->now + clocks); /* almost always */
+    if (bus->now + clocks < core->horizon && !bus->changed && !core->bus.stop) {
+        bus_pass_time(&core->bus, bus->now + clocks); /* almost always */
     } else {
         core_busy(core, clocks);
     }
@@ -193,7 +160,7 @@ void core_busy(core_t *core, uint64_t clocks)
 
 static void boot(core_t *core)
 {
-    core->must_boot = false;
+    core->bus.must_boot = false;
     core->booting = true;
     core_give(core);
     core->bus.environment->boot(core->bus.board);
@@ -215,7 +182,7 @@ CHIP_NORETURN static void live(core_t *core)
             bus->changed = bus->background_due; /* due again */
         }
         core->resting = !bus->changed;
-        core->stop = core->stop || (core->stop_resting && core->resting);
+        core->bus.stop = core->bus.stop || (core->stop_resting && core->resting);
         (void)run_event(core, CHIP_NEVER);
         core->resting = false;
     }
@@ -230,7 +197,7 @@ static void inside(unsigned upper, unsigned lower)
     while (setjmp(core->bus.escape) == ESCAPE_FAILURE) {
         leave(core);
     }
-    if (core->must_boot) {
+    if (core->bus.must_boot) {
         boot(core);
     }
     live(core);
@@ -238,7 +205,7 @@ static void inside(unsigned upper, unsigned lower)
 
 void core_run(core_t *core, uint64_t until)
 {
-    core->limit = until;
+    core->bus.limit = until;
     if (!core->alive) {
         const uint64_t address = (uintptr_t)core;
         (void)getcontext(&core->inside);
@@ -259,7 +226,7 @@ void core_reset(core_t *core)
     core->given = 0;
     core->horizon = 0;
     core->part = 0;
-    core->must_boot = true;
+    core->bus.must_boot = true;
     core->resting = false;
     core->alive = core->alive && core->running; /* otherwise the context is abandoned */
     core->bus.changed = true;

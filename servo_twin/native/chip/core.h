@@ -32,11 +32,8 @@ typedef struct {
     uint64_t next;        /* clock of the event that was next when the core last looked for one */
     uint64_t horizon;     /* clock before which there is no event; 0: unknown */
     uint64_t part;        /* charged since time last moved, less than a clock [2^-20 clocks] */
-    uint64_t limit;       /* last clock of this core_run */
-    bool stop;            /* end core_run before the next event */
     bool stop_resting;    /* end core_run as soon as the core rests */
     bool resting;         /* no software has begun: a core that is started anew continues in the same way */
-    bool must_boot;
     bool alive;           /* `inside` is suspended */
     ucontext_t inside, outside;
     uint8_t *stack; /* CORE_STACK bytes */
@@ -49,10 +46,6 @@ void core_reset(core_t *core);
 
 /* All events and software up to and including `until`, unless an error or `stop` ends it; booting may take longer. */
 void core_run(core_t *core, uint64_t until);
-
-/* Handle the next event up to `until`; without one, go to that clock and return false. Then `next` is the clock of the next
- * event. For software that is executed by itself (program.h). */
-bool core_step(core_t *core, uint64_t until);
 
 /* Let the time pass that the software has been charged with up to here. */
 void core_settle(core_t *core);

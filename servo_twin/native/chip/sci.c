@@ -19,8 +19,6 @@ enum { RATE, CTRL1, CTRL2, STAT, DATA, CTRL3 };
 #define STAT_TIDLE 0x4000u
 #define STAT_TDRE 0x8000u
 
-#define BITS 10u /* start, eight data, stop */
-
 static const uint8_t first_vector[SCI_MODULES] = {VECTOR_SCI0_RERR, VECTOR_SCI1_RERR, VECTOR_SCI2_RERR};
 
 static unsigned depth(const sci_module_t *module) { return ((module->ctrl2 & CTRL2_FIFO_EN) != 0) ? SCI_FIFO : 1u; }
@@ -29,7 +27,7 @@ static unsigned depth(const sci_module_t *module) { return ((module->ctrl2 & CTR
  * twice that. */
 static double byte_clocks(const sci_t *sci, unsigned m)
 {
-    const double clocks = 2.0 * (double)BITS * (double)sci->module[m].rate;
+    const double clocks = 2.0 * (double)SERIAL_LINE_BITS * (double)sci->module[m].rate;
     return (((sci->bus->sim.pcr >> (13u - m)) & 1u) != 0) ? 0.5 * clocks : clocks;
 }
 
@@ -62,21 +60,6 @@ static void request(sci_t *sci, unsigned m)
     bus_wake_background(sci->bus);
 }
 
-/* A byte sent in `sent` clocks, as a receiver that expects `expected` clocks samples it: each bit in its middle, counted from the
- * edge of the start bit. Returns false for a framing error. */
-static bool sample_byte(uint8_t byte, double sent, double expected, uint8_t *result)
-{
-    unsigned bits = 0;
-    for (unsigned k = 0; k < BITS; k++) {
-        const double time = ((double)k + 0.5) * expected / sent;
-        const unsigned at = (time < (double)BITS) ? (unsigned)time : BITS;
-        const unsigned level = (at == 0) ? 0u : (at <= 8u) ? ((unsigned)byte >> (at - 1u)) & 1u : 1u;
-        bits |= level << k;
-    }
-    *result = (uint8_t)(bits >> 1);
-    return (bits >> (BITS - 1u)) != 0;
-}
-
 /* ---- to the host ----------------------------------------------------------------------------------------------------- */
 
 static void schedule(sci_t *sci) { bus_plan(sci->bus, SOURCE_SERIAL, sci_line_next(sci)); }
@@ -103,41 +86,17 @@ static void sent(sci_t *sci, unsigned m)
         return;
     }
     if (m == sci->sender) {
-        sci_line_t *line = &sci->line;
-        uint8_t byte;
-        (void)sample_byte(module->shift, byte_clocks(sci, m), line->byte_clocks, &byte);
-        if (line->out_size < SCI_LINE_OUT) {
-            line->out[(line->out_head + line->out_size++) % SCI_LINE_OUT] = byte;
-        } else {
-            line->lost++;
-        }
+        serial_line_send(&sci->line, module->shift, byte_clocks(sci, m));
     }
     send_next(sci, m);
     request(sci, m);
 }
 
-size_t sci_line_read(sci_t *sci, uint8_t *data, size_t room)
-{
-    sci_line_t *line = &sci->line;
-    size_t taken = 0;
-    while (taken < room && line->out_size > 0) {
-        data[taken++] = line->out[line->out_head];
-        line->out_head = (line->out_head + 1u) % SCI_LINE_OUT;
-        line->out_size--;
-    }
-    return taken;
-}
-
 /* ---- from the host --------------------------------------------------------------------------------------------------- */
 
-static void receive(sci_t *sci, unsigned m, uint8_t byte)
+static void receive(sci_t *sci, unsigned m, uint8_t received, bool framed)
 {
     sci_module_t *module = &sci->module[m];
-    if ((module->ctrl1 & CTRL1_RE) == 0 || !alive(sci, m)) {
-        return;
-    }
-    uint8_t received;
-    const bool framed = sample_byte(byte, sci->line.byte_clocks, byte_clocks(sci, m), &received);
     if ((module->errors & STAT_OR) != 0 || module->rx_count >= depth(module)) {
         module->errors |= STAT_OR; /* the new byte is lost */
         sci->line.overruns++;
@@ -150,17 +109,17 @@ static void receive(sci_t *sci, unsigned m, uint8_t byte)
 
 static void arrived(sci_t *sci)
 {
-    sci_line_t *line = &sci->line;
+    serial_line_t *line = &sci->line;
     if (line->in_clock > sci->bus->now) {
         return;
     }
-    const uint8_t byte = line->in[line->in_head];
-    line->in_head = (line->in_head + 1u) % SCI_LINE_IN;
-    line->in_size--;
-    line->in_clock = (line->in_size > 0) ? line->in_clock + (uint64_t)line->byte_clocks : CHIP_NEVER;
+    const unsigned m = sci->receiver;
+    const bool listens = m < SCI_MODULES && (sci->module[m].ctrl1 & CTRL1_RE) != 0 && alive(sci, m);
+    uint8_t byte;
+    const bool framed = serial_line_receive(line, listens ? byte_clocks(sci, m) : line->byte_clocks, &byte);
     schedule(sci);
-    if (sci->receiver < SCI_MODULES) {
-        receive(sci, sci->receiver, byte);
+    if (listens) {
+        receive(sci, m, byte, framed);
     }
 }
 
@@ -176,15 +135,8 @@ void sci_event(void *peripheral, unsigned source)
 
 size_t sci_line_write(sci_t *sci, const uint8_t *data, size_t size)
 {
-    sci_line_t *line = &sci->line;
-    size_t taken = 0;
-    while (taken < size && line->in_size < SCI_LINE_IN) {
-        line->in[(line->in_head + line->in_size++) % SCI_LINE_IN] = data[taken++];
-    }
-    if (taken > 0 && line->in_clock == CHIP_NEVER) {
-        line->in_clock = sci->bus->now + (uint64_t)line->byte_clocks;
-        schedule(sci);
-    }
+    const size_t taken = serial_line_write(&sci->line, data, size, sci->bus->now);
+    schedule(sci);
     return taken;
 }
 
@@ -292,6 +244,5 @@ void sci_init(sci_t *sci, bus_t *bus, double baud)
 {
     sci->bus = bus;
     sci->sender = sci->receiver = SCI_MODULES;
-    sci->line.byte_clocks = (double)BITS * (double)CHIP_BUS_HZ / baud;
-    sci->line.in_clock = CHIP_NEVER;
+    serial_line_init(&sci->line, baud);
 }

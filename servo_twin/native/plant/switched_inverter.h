@@ -47,6 +47,7 @@
 #include <stdint.h>
 
 #include "board.h"
+#include "board_clock.h"
 #include "plant/motor.h"
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
@@ -57,7 +58,7 @@ typedef enum {
 } inverter_gates_t;
 
 #define INVERTER_BUS_CHANGE_MAX 0.05 /* change of the bus voltage that ends a segment [V] */
-#define INVERTER_CLOCK_HZ 100e6 /* bus clock of the chip */
+#define INVERTER_CLOCK_HZ (BOARD_CLOCK_MHZ * 1e6)
 #define LINEAR_INTERVAL_MAX 64e-6 /* longest linear interval, without its last segment [s] */
 
 /* A stator vector together with its phases in one vector register: alpha (which is phase a), beta, phase b, phase c. */

@@ -2,7 +2,7 @@
  * which the sign of the current selects a diode, shunts that carry a current only while the lower half of their leg
  * conducts, encoder lines with the edge times of the moving shaft.
  *
- * Time is counted in bus clocks of the chip (10 ns). The plant is one more source of events: between two calls of
+ * Time is counted in clocks of the chip (board_clock.h). The plant is one more source of events: between two calls of
  * switching_edge nothing outside acts on it, so it can predict its own next event.
  *
  *     while (...) {
@@ -35,8 +35,9 @@
 #include "plant/thermal.h"
 
 #define SWITCHING_CLOCK_HZ INVERTER_CLOCK_HZ
-#define SWITCHING_HORIZON 3200u /* longest step of the plant [clocks] */
-#define SWITCHING_SHAFT 625u /* step of shafts that need shorter ones than a PWM period, 6.25 us [clocks] */
+#define SWITCHING_HORIZON (32u * BOARD_CLOCK_MHZ) /* longest step of the plant, 32 us [clocks] */
+#define SWITCHING_SHAFT                                                                                                \
+    (25u * BOARD_CLOCK_MHZ >> 2) /* step of shafts that need shorter ones than a PWM period, 6.25 us [clocks] */
 #define SWITCHING_LINE 64u /* alignment of a plant, for speed: a cache line [bytes] */
 #define SWITCHING_EVENTS 128u /* size of the queue, a power of two */
 #define SWITCHING_DEFERRED_MAX 135u /* deferred encoder edges of an axis, which fill whole cache lines */
