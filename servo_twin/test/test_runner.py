@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -88,6 +89,14 @@ def test_results_come_while_others_are_still_run() -> None:
     results = Runner(2).run(Square(0.01), range(1_000_000_000), "squares")
     with contextlib.closing(results):
         assert {next(results)[0] for _ in range(10)} <= set(range(20))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_that_is_ended_has_left_a_line_of_every_result(workers: int, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(TrialError):
+        run_in_order(Runner(workers), Raises(11), NUMBERS, "trials", "number {}".format)
+    lines = capfd.readouterr().err.splitlines()
+    assert len([line for line in lines if re.fullmatch(r"\d+/40  number \d+", line)]) >= 5
 
 
 def test_crash_of_a_worker_loses_no_result(tmp_path: Path) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-from collections.abc import Generator, Iterable, Iterator, Sequence
+import sys
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
@@ -83,7 +84,25 @@ def run_here(work: Work[Result], numbers: Iterable[int]) -> Iterator[tuple[int, 
         yield number, attempt(work, number).result()
 
 
-def run_in_order(runner: Runner, work: Work[Result], numbers: Sequence[int], label: str) -> list[Result]:
-    """All results, in the order of the numbers."""
-    results = dict(runner.run(work, numbers, label))
+def run_in_order(
+    runner: Runner,
+    work: Work[Result],
+    numbers: Sequence[int],
+    label: str,
+    line_of: Callable[[Result], str] | None = None,
+) -> list[Result]:
+    """All results, in the order of the numbers.
+
+    Parameters
+    ----------
+    runner, work, numbers, label
+        As of `Runner.run`.
+    line_of : callable, optional
+        Text of a result, written to standard error as soon as there is one: a run that is ended has left these.
+    """
+    results = {}
+    for number, result in runner.run(work, numbers, label):
+        results[number] = result
+        if line_of is not None:
+            tqdm.write(f"{len(results)}/{len(numbers)}  {line_of(result)}", file=sys.stderr)
     return [results[number] for number in numbers]

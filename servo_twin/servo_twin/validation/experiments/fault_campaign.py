@@ -277,7 +277,7 @@ def trials(
     plant: PlantConfig, seed: int, numbers: Sequence[int], motors: Sequence[str] = MOTORS, runner: Runner = HERE
 ) -> list[Result]:
     """Run trials by number; results depend on seed and number only."""
-    return run_in_order(runner, _Campaign(plant, seed, tuple(motors), level()), numbers, f"{NAME}, trials")
+    return run_in_order(runner, _Campaign(plant, seed, tuple(motors), level()), numbers, f"{NAME}, trials", str)
 
 
 def run(

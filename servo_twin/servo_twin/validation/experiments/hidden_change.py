@@ -88,6 +88,9 @@ class Result:
         """Whether the first divergent tick is right."""
         return self.said == self.first
 
+    def __str__(self) -> str:
+        return f"run {self.number}, {self.change}: {self.verdict}"
+
 
 def draw(seed: int, number: int) -> Change:
     """The change of a run; the kinds take turns."""
@@ -196,7 +199,7 @@ class _Campaign:
 
 def run(plant: PlantConfig, seed: int, count: int = COUNT, seconds: float = SECONDS, runner: Runner = HERE) -> Outcome:
     """Run the campaign."""
-    return judge(run_in_order(runner, _Campaign(plant, seed, seconds), range(count), NAME))
+    return judge(run_in_order(runner, _Campaign(plant, seed, seconds), range(count), NAME, str))
 
 
 def judge(results: Sequence[Result]) -> Outcome:
@@ -227,7 +230,7 @@ def judge(results: Sequence[Result]) -> Outcome:
         own = [one for one in results if one.change.cause == cause]
         if own:
             table.append([cause, str(len(own)), str(sum(one.tick for one in own)), str(sum(one.cause for one in own))])
-    wrong = [f"run {one.number}, {one.change}: {one.verdict}" for one in results if not (one.tick and one.cause)]
+    wrong = [str(one) for one in results if not (one.tick and one.cause)]
     factors = sorted(one.factor for one in results)
     speed = f"replay {factors[len(factors) // 2]:.0f} times real time (median, {factors[0]:.0f} at least)"
     return Outcome(NAME, tuple(rows), (), (*aligned(table, "<>"), speed, *wrong))

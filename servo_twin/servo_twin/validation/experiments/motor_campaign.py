@@ -118,7 +118,8 @@ class Result:
         return bool(self.problem) or bool(self.refused and not self.contradicts)
 
     def __str__(self) -> str:
-        what = self.problem or (f"refused: {self.refused}" if self.refused else "drives")
+        drives = f"drives, overshoot {self.overshoot:g} counts, {self.duration:.2f} of the planned duration"
+        what = self.problem or (f"refused: {self.refused}" if self.refused else drives)
         return f"{self.number}: {self.motor}: {what}"
 
 
@@ -230,7 +231,7 @@ class _Campaign:
 
 def trials(plant: PlantConfig, seed: int, numbers: Sequence[int], runner: Runner = HERE) -> list[Result]:
     """Run motors in order."""
-    return run_in_order(runner, _Campaign(plant, seed, level()), numbers, f"{NAME}, motors")
+    return run_in_order(runner, _Campaign(plant, seed, level()), numbers, f"{NAME}, motors", str)
 
 
 def judge(results: Sequence[Result]) -> Outcome:
