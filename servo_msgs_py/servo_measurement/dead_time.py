@@ -55,7 +55,7 @@ def check_band(band: float, estimate: float, current: float, limits: Limits, max
     if current < limits.current:
         raise MeasurementError(f"{text}, and {current:.2g} A take the voltage: the board cannot measure this winding")
     if needed < maximum:
-        raise MeasurementError(text, higher("--current", min(_rounded_up(needed), maximum)))
+        raise MeasurementError(text, higher("--current", min(rounded_up(needed), maximum)))
     remedy = "a supply of a lower voltage, or add inductance to the motor cable"
     if limits.current < maximum:
         raise MeasurementError(
@@ -78,7 +78,7 @@ def band_of(slope: float, lost_voltage: float) -> float:
     return 1.5 * lost_voltage / slope
 
 
-def _rounded_up(value: float) -> float:
+def rounded_up(value: float) -> float:
     """Value rounded up to two digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(round(math.ceil(value / unit) * unit, 9))

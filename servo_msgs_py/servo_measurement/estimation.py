@@ -33,6 +33,9 @@ PERIOD_MIN: Final = 0.95
 FLUX_UNCERTAINTY: Final = 0.1
 """Relative uncertainty of the flux from a rotating vector, for the unknown effect of dead time and voltage drops."""
 
+SALIENT_MIN: Final = 0.05
+"""Smallest relative difference of the inductances along and across the vector that shows a rotor off the vector."""
+
 FOLLOW_TOLERANCE: Final = 0.15
 """Relative tolerance of the mean speed of a shaft that oscillates about a rotating vector."""
 
@@ -112,6 +115,46 @@ def swing_of(recording: Trace, name: str, pairs: float) -> float:
     angle, position = (recording[f"{name}.{key}"] for key in ("test_angle", "position"))
     usable = np.isfinite(angle) & np.isfinite(position)
     return float(np.std(np.unwrap(angle[usable]) - pairs * position[usable]))
+
+
+def check_on_vector(l_d: Estimate, l_q: Estimate, current: float) -> None:
+    """Check that a rotor that is not blocked lies on the vector that holds it.
+
+    Above ``psi_m / (l_q - l_d)`` its reluctance turns it off the vector. There the inductance along the vector is the
+    larger one.
+
+    Parameters
+    ----------
+    l_d, l_q : Estimate
+        Along and across the vector [H].
+    current : float
+        Of the vector [A].
+
+    Raises
+    ------
+    MeasurementError
+        If the rotor is off the vector.
+    """
+    if l_d.interval[0] > (1.0 + SALIENT_MIN) * l_q.interval[1]:
+        raise MeasurementError(
+            f"the reluctance of the rotor turns it off a current vector of {current:.2g} A: the inductance is"
+            f" {l_d.value:.3g} H along the vector and {l_q.value:.3g} H across it; lower --current. The largest one"
+            " with which it stays on the vector cannot be told"
+        )
+
+
+def friction_angle_of(log: MeasurementLog, pairs: float) -> float:
+    """Angle between a slowly rotating vector and the rotor by Coulomb friction [rad, electrical].
+
+    It changes its sign with the direction; a constant load does not.
+    """
+    name = axis_name(log.axis)
+    lags = []
+    for one in log.labelled("turn_slow"):
+        lag = np.exp(1j * (one[f"{name}.test_angle"] - pairs * one[f"{name}.position"]))
+        lags.append(np.nanmean(lag))
+    forward, backward = lags[-2:]
+    return 0.5 * abs(float(np.angle(forward / backward)))
 
 
 def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate]:

@@ -189,17 +189,25 @@ class MotorRig(AxisUnderTest):
         self.access.stage = stage
 
     def search_rotor(self) -> None:
-        """Enable with a rotor search. Its faults are excluded by the rotating vector: it is repeated."""
+        """Enable with a rotor search. Its faults are excluded by the rotating vector: it is repeated.
+
+        The dead time is compensated meanwhile: with a small current it delays the current by more than the search
+        permits.
+        """
+        features = int(self.access.read("param.features")[self.axis])
+        self.write_word("param.features", features | self.masks("features")["DEAD_TIME"])
         for _ in range(SEARCHES - 1):
             self.refuse_ended_session()
             self.write_word("cmd.enable", 1)
             self.reached(lambda: self.substate == "SPIN" or self.label("state") == "FAULT", 8.0, refuse_on_fault=False)
             if self.substate == "SPIN":
-                return
+                break
             refuse_faults(self.access, self.axis, *SEARCH_FAULTS)
             self.write_word("cmd.enable", 0)
             self.clear_faults()
-        self.enable("SPIN", 8.0)
+        else:
+            self.enable("SPIN", 8.0)
+        self.write_word("param.features", features)
 
     # ---- configuration -----------------------------------------------------------------------------------------------
 

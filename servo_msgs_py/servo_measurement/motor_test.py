@@ -19,15 +19,19 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD, PERIOD_NS, TICK
+from servo_tuning.errors import higher, lower
+from servo_tuning.rotor_search import FRICTION_USE, SALIENT_USE
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
-from servo_measurement.dead_time import LOST_MIN, band_of, check_band
+from servo_measurement.dead_time import LOST_MIN, band_of, check_band, rounded_up
 from servo_measurement.estimation import (
     BAND,
     FLUX_CURRENT_TIME,
     PLAIN_TIME,
+    check_on_vector,
     flux_of,
+    friction_angle_of,
     inductances_of,
     resistance_of,
     rotation_of,
@@ -75,6 +79,8 @@ TURN_EVERY: Final = 2  # slow ticks per sample
 TURN_EVERY_GENTLE: Final = 8  # the same for a heavy rotor: the mean speed of several swings
 TURN_FAST_SAMPLES: Final = 250
 SWING_MAX: Final = 0.25  # largest standard deviation of the swing of a light rotor, electrical [rad]
+FRICTION_MARGIN: Final = 1.2
+"""Margin of the current with which friction is small enough for a rotor search."""
 TURN_SETTLE: Final = 0.1  # [s]
 PULSE: Final = 0.5  # relative to the current limit
 PULSE_SPEED: Final = 0.5  # speed limit of the board during the pulses, relative to the largest speed
@@ -232,6 +238,7 @@ class MotorTest:
         self._band = band_of(r, rig.lost_voltage)
         voltage_max = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0)
         current = self._current = min(rig.limits.current, voltage_max / r)
+        self.log.notes["current"] = current
         rig.command("cmd.i_q", VECTOR * current)
         rig.wait(0.1)
         self._first_inductance(r)
@@ -322,6 +329,7 @@ class MotorTest:
             self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW, TURN_RAMP)
         r = self._values["r_s"].value + rig.limits.r_on
         self._values.update(rotation_of(self.log, r))
+        check_on_vector(self._values["l_d"], self._values["l_q"], VECTOR * self._current)
         pairs = self._values["pole_pairs"].value
         travel_max = 2.0 * math.pi * rig.limits.turns * pairs
         slow = self.log.labelled("turn_slow")
@@ -337,11 +345,33 @@ class MotorTest:
             ]
             if all(shaft_follows(one, rig.name, pairs) for one in recordings):
                 break
-        self._values.update(flux_of(self.log, self._values["l_d"].value, self._values["pole_pairs"].value))
+        self._values.update(flux_of(self.log, self._values["l_d"].value, pairs))
+        self._check_friction(friction_angle_of(self.log, pairs))
         rig.access.stage = ""
         rig.command("cmd.i_q", 0.0)
         rig.wait(0.05)
         rig.off()
+
+    def _check_friction(self, angle: float) -> None:
+        """Check the angle by which friction holds the rotor off the vector [rad, electrical]: a search needs less."""
+        if angle <= FRICTION_USE:
+            return
+        rig = self._rig
+        current = rounded_up(FRICTION_MARGIN * angle / FRICTION_USE * self._current)
+        text = f"friction holds the rotor {angle:.2g} rad (electrical) off a current vector of {self._current:.3g} A"
+        saliency = self._values["l_q"].value - self._values["l_d"].value
+        largest = SALIENT_USE * self._values["psi_m"].value / saliency if saliency > 0.0 else math.inf
+        if current > largest:
+            raise MeasurementError(
+                f"{text}, and above about {largest:.2g} A the reluctance of the rotor does: reduce the friction"
+            )
+        needed = current * (self._values["r_s"].value + rig.limits.r_on) * math.sqrt(3.0) / VOLTAGE_USE
+        maximum = rig.access.catalogue["param.i_q_limit"].maximum
+        if current > maximum or needed > rig.limits.voltage:
+            raise MeasurementError(
+                f"{text}, and {current:.3g} A are beyond the board or its voltage: reduce the friction"
+            )
+        raise MeasurementError(text, higher("--current", current))
 
     def _spin(self) -> None:
         rig = self._rig
@@ -515,10 +545,12 @@ class MotorTest:
         if rig.reached(lambda: abs(rig.value("i_d") - current) < 0.05 * current + 0.02, seconds):
             return
         measured, volts = rig.value("i_d"), rig.value("u_d")
-        raise MeasurementError(
-            f"the current is {measured:.2f} A instead of {current:.2f} A at {volts:.1f} V: the winding is open or its"
-            " resistance is too high for the bus voltage; check the wires, or lower --current"
-        )
+        text = f"the current is {measured:.2f} A instead of {current:.2f} A at {volts:.1f} V"
+        largest = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0) * measured / volts if volts > 0.0 else 0.0
+        if largest < rig.access.catalogue["param.i_q_limit"].minimum:
+            raise MeasurementError(f"{text}: the winding is open; check the wires")
+        text = f"{text}: the resistance of the winding is too high for the bus voltage; check the wires, or correct"
+        raise MeasurementError(f"{text} the current", lower("--current", float(f"{largest:.2g}")))
 
     def _speed_max(self) -> float:
         pairs, psi = self._values["pole_pairs"].value, self._values["psi_m"].value

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
 from servo_measurement.access import MeasurementError
 from servo_measurement.motor_config import corrected, fitted, tuned_axis
 from servo_measurement.motor_test import MotorTest
 from servo_measurement.motor_values import Limits
-from servo_tuning.errors import ConfigError
+from servo_tuning.errors import ConfigError, Remedy
 from servo_tuning.remedies import with_value
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
@@ -95,29 +97,108 @@ def assert_remedies_lead_to_a_result(plant: PlantConfig, limits: Limits) -> Limi
     """The next refusal, if there is one, is about another option. Returns the accepted limits."""
     refused: list[str] = []
     while (error := refusal(plant, limits)) is not None:
-        assert error.remedies, (refused, str(error))
-        remedy = error.remedies[0]
+        plant, limits = with_remedy(plant, limits, error)
+        assert error.remedies[0].entry not in refused, (refused, str(error))
+        assert len(refused) < REFUSALS_MAX
+        refused.append(error.remedies[0].entry)
+    assert refused
+    return limits
+
+
+def with_remedy(plant: PlantConfig, limits: Limits, error: MeasurementError) -> tuple[PlantConfig, Limits]:
+    """The options of the first remedy, and the supply for them."""
+    remedy: Remedy | None
+    (remedy, *_) = error.remedies or [None]
+    while remedy is not None:
         assert remedy.value is not None
         assert f"{remedy.entry} {remedy.value:g}" in str(error)
-        assert remedy.entry not in refused, (refused, str(error))
-        assert len(refused) < REFUSALS_MAX
-        refused.append(remedy.entry)
         limits = dataclasses.replace(limits, **{OPTIONS[remedy.entry]: remedy.value})
         if remedy.entry == "--voltage":
             plant = plant.with_bus(u_source=remedy.value)
-    assert refused
-    return limits
+        remedy = remedy.also
+    return plant, limits
+
+
+class _Accepted(Exception):
+    """All checks before the first write have passed."""
+
+
+class _WithoutWrites(VirtualBoardAccess):
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        raise _Accepted
+
+
+@settings(max_examples=60, derandomize=True, deadline=None, phases=[Phase.generate])
+@given(
+    st.floats(10.0, 34.0),
+    st.builds(Limits, st.floats(5.0, 60.0), st.floats(0.01, 20.0), st.floats(0.1, 500.0), st.floats(0.1, 40.0)),
+)
+def test_remedies_of_the_checks_before_any_motion_are_accepted(supply: float, limits: Limits) -> None:
+    plant = PLANT.with_bus(u_source=supply)
+    with Board(plant, seed=1, level="ideal") as board:
+        board.run(0.05)
+        refused: list[str] = []
+        while (error := refusal_of(_WithoutWrites(board), limits)) is not None:
+            _, limits = with_remedy(plant, limits, error)
+            assert error.remedies[0].entry not in refused, (refused, str(error))
+            refused.append(error.remedies[0].entry)
 
 
 def refusal(plant: PlantConfig, limits: Limits) -> MeasurementError | None:
     """Error that ends the test of a motor."""
     with Board(plant, seed=1, level="ideal") as board:
         board.run(0.05)
-        try:
-            MotorTest(VirtualBoardAccess(board), 0, limits, servo_table()).run()
-        except MeasurementError as error:
-            return error
+        return refusal_of(VirtualBoardAccess(board), limits)
+
+
+def refusal_of(access: VirtualBoardAccess, limits: Limits) -> MeasurementError | None:
+    try:
+        MotorTest(access, 0, limits, servo_table()).run()
+    except MeasurementError as error:
+        return error
+    except _Accepted:
+        pass
     return None
+
+
+# ---- a test that is finished, and its remedies
+
+
+@pytest.mark.parametrize(
+    ("plant", "limits", "reason"),
+    [
+        (PLANT.with_axis(0, r_s=9.0), Limits(24.0, 3.9), "resistance of the winding is too high"),
+        (PLANT.with_axis(0, friction=0.016), Limits(24.0, 1.0, r_on=0.03), "friction holds the rotor"),
+    ],
+)
+def test_remedies_of_refusals_at_the_vector_are_accepted(plant: PlantConfig, limits: Limits, reason: str) -> None:
+    error = refusal(plant, limits)
+    assert reason in str(error)
+    assert_remedies_lead_to_a_result(plant, limits)
+
+
+def test_a_rotor_off_its_vector_is_not_called_a_load() -> None:
+    """Number 5: above 0.85 A its reluctance turns it off the vector, and with less its friction does."""
+    plant, limits = random_case(PLANT, 0, LIMITS, SEED, 5)
+    assert "the reluctance of the rotor turns it off" in str(refusal(plant, limits))
+    error = refusal(plant, dataclasses.replace(limits, current=0.42))
+    assert error is not None
+    assert not error.remedies
+    assert "friction holds the rotor" in str(error)
+    assert refusal(plant.with_axis(0, friction=2e-4), dataclasses.replace(limits, current=0.42)) is None
+
+
+@pytest.mark.parametrize("number", [12, 18])
+def test_a_current_that_narrows_an_interval_is_named(number: int) -> None:
+    """Number 18 needs a higher voltage for it."""
+    plant, limits = random_case(PLANT, 0, LIMITS, SEED, number)
+    log, problem = measure_virtual(plant, 0, limits, servo_table(), level="ideal", seed=1)
+    result = identified(log, plant, problem, refined=False, level="ideal")
+    assert result.problems
+    assert result.remedies
+    plant, limits = with_remedy(plant, limits, MeasurementError(result.problems[0], *result.remedies))
+    log, problem = measure_virtual(plant, 0, limits, servo_table(), level="ideal", seed=1)
+    assert not identified(log, plant, problem, refined=False, level="ideal").problems
 
 
 def test_a_configuration_follows_the_motor() -> None:

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from servo_measurement.access import MeasurementError
+from servo_measurement.dead_time import rounded_up
 from servo_measurement.estimation import estimates_of, inductance_at_low_current
 from servo_measurement.log import MeasurementLog
-from servo_measurement.motor_config import fitted, tuned_axis
-from servo_measurement.motor_test import MotorTest
+from servo_measurement.motor_config import SUPPLY_END, fitted, tuned_axis
+from servo_measurement.motor_test import VOLTAGE_USE, MotorTest
 from servo_measurement.motor_values import UNITS, Limits, MotorEstimates
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.table_text import aligned
-from servo_tuning.errors import ConfigError, Table
+from servo_tuning.errors import ConfigError, Remedy, Table, higher
 from servo_tuning.remedies import explained
 
 from servo_twin.board import Board, SimulationError
@@ -40,12 +42,17 @@ NEEDED: Final[Mapping[str, float]] = {
 }
 """Largest half width of the 95 % interval of a determined value, relative to the value."""
 
+OF_CURRENT: Final = ("r_s", "l_d", "l_q")
+"""Values whose interval is inversely proportional to the current."""
+
 MORE: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("r_s", "l_d", "l_q"), "current (--current)"),
     "psi_m": "speed (--speed-max)",
     **dict.fromkeys(("inertia", "friction"), "current or speed (--current, --speed-max)"),
 }
-"""What narrows the interval of a value."""
+"""What narrows the interval of another value."""
+
+CURRENT_MARGIN: Final = 1.25
+"""Margin of a current that is enough for an interval."""
 
 FRICTION_SMALL: Final = 0.005
 """Friction below this fraction of the torque of the current limit needs no accurate value."""
@@ -73,6 +80,7 @@ class Identified:
     estimates: MotorEstimates  # refined, if there is a refinement
     refinement: Refinement | None
     problems: tuple[str, ...]  # undetermined values and unexplained differences; empty: success
+    remedies: tuple[Remedy, ...] = ()  # changes of options with which the intervals of the winding are narrow enough
 
 
 def measure_virtual(
@@ -146,19 +154,38 @@ def identified(
         except (MeasurementError, np.linalg.LinAlgError) as error:
             problems.append(f"the refinement has failed: {error}")
     estimates = refinement.estimates if refinement is not None else first
-    if not problem:
+    remedies: tuple[Remedy, ...] = ()
+    if not problem:  # otherwise values and intervals are those of an unfinished measurement
         problems += [f"{name}: {reason}" for name, reason in first.undetermined.items()]
-    problems += _undetermined(estimates, log)
-    if not problem:
+        wide = {name: estimates.values[name].part / NEEDED[name] for name in OF_CURRENT if name in estimates.values}
+        needed = max(wide.values(), default=0.0)
+        remedies = tuple(_more_current(log, estimates, needed)) if needed > 1.0 else ()
+        problems += _undetermined(estimates, float(log.notes["limits"]["current"]), remedies)
         problems += _saturated(first, log)
     if refinement is not None:
         problems += _unexplained(log, refinement)
-    return Identified(log, estimates, refinement, tuple(problems))
+    return Identified(log, estimates, refinement, tuple(problems), remedies)
 
 
-def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
+def _more_current(log: MeasurementLog, estimates: MotorEstimates, factor: float) -> Iterator[Remedy]:
+    """The current that is larger by a factor, with the voltage that it needs; none if the board cannot do it."""
+    catalogue = Catalogue.load()
+    limits = Limits(**log.notes["limits"])
+    current = rounded_up(CURRENT_MARGIN * factor * float(log.notes.get("current", limits.current)))
+    needed = current * (estimates["r_s"] + limits.r_on) * math.sqrt(3.0) / VOLTAGE_USE
+    if current > catalogue["param.i_q_limit"].maximum or needed > SUPPLY_END:
+        return
+    remedy = higher("--current", current)
+    if needed > limits.voltage:
+        remedy = dataclasses.replace(higher("--voltage", math.ceil(needed)), also=remedy)
+    yield remedy
+
+
+def _undetermined(estimates: MotorEstimates, current: float, remedies: Sequence[Remedy]) -> list[str]:
+    """Undetermined values; `current`: limit of the user [A], `remedies`: of the values of the winding."""
     found = []
     values = estimates.values
+    changes = remedies[0].text() if remedies else "it needs a current, or a voltage for it, beyond the board"
     for name, part in NEEDED.items():
         if name not in values:
             if name not in estimates.undetermined:
@@ -167,15 +194,14 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
         estimate = values[name]
         if name == "friction" and "psi_m" in values:
             small = FRICTION_SMALL * 1.5 * values["pole_pairs"].value * values["psi_m"].value
-            if estimate.interval[1] < small * float(log.notes["limits"]["current"]):
+            if estimate.interval[1] < small * current:
                 continue
         if not math.isfinite(estimate.value) or (estimate.value <= 0.0 and name != "friction"):
             found.append(f"{name}: {estimate.value:.3g} {UNITS[name]} is implausible: not determined by the data")
         elif estimate.part > part > 0.0:
             low, high = estimate.interval
-            found.append(
-                f"{name}: the interval {low:.3g} .. {high:.3g} {UNITS[name]} is too wide; use more {MORE[name]}"
-            )
+            change = changes if name in OF_CURRENT else f"use more {MORE[name]}"
+            found.append(f"{name}: the interval {low:.3g} .. {high:.3g} {UNITS[name]} is too wide; {change}")
     return found
 
 
