@@ -354,7 +354,14 @@ def test_points_of_a_geared_reversed_joint_are_those_of_its_motor() -> None:
 class Late:
     """Paths whose first points the board has refused because they came too late."""
 
-    def __init__(self, joints: Sequence[str] = JOINTS, start: float = 0.0, goal: float = 2.0) -> None:
+    def __init__(
+        self,
+        joints: Sequence[str] = JOINTS,
+        start: float = 0.0,
+        goal: float = 2.0,
+        times: Sequence[float] = (0.05,),
+        goals: Sequence[Sequence[float]] = (),
+    ) -> None:
         self.rig = Rig()
         self.rig.sample(2)
         self.leads: list[float] = []  # of each plan [s]
@@ -363,8 +370,9 @@ class Late:
 
         def plan(running: Path, now: float) -> Path:
             self.leads.append(now - self.rig.tick * PERIOD)
-            waypoints = Waypoints.of(joints, [max(now, start) + 0.05], [[goal] * len(joints)])
-            return path_through(waypoints, running.select(joints).state(max(now, start)), max(now, start))
+            begin = max(now, start)
+            waypoints = Waypoints.of(joints, [begin + time for time in times], goals or [[goal] * len(joints)])
+            return path_through(waypoints, running.select(joints).state(begin), begin)
 
         self.rig.follower.request(
             joints,
@@ -415,11 +423,25 @@ def test_path_is_not_repeated_if_its_points_came_in_time() -> None:
     assert not late.rig.follower.postpone([0, 1])
 
 
-def test_path_is_not_repeated_after_the_board_has_accepted_points() -> None:
+def test_path_is_not_repeated_after_its_joints_have_moved() -> None:
     late = Late()
     late.rig.follower.points_accepted([0])
     late.wait()
     assert not late.rig.follower.postpone([1])
+
+
+def test_path_whose_second_write_comes_too_late_is_repeated_from_its_begin() -> None:
+    """The segments of its begin are so short that the shaft has hardly moved with the points of the first write."""
+    times = [0.002 * k for k in range(1, 40)] + [1.0]
+    late = Late(["axis1"], times=times, goals=[*([1.0 + 0.001 * (k % 2)] for k in range(1, 40)), [2.0]])
+    late.rig.follower.points_accepted([0])
+    late.wait(0.3)
+    assert late.rig.follower.next_points() is not None
+    assert late.rig.follower.postpone([0])
+    late.wait(0.03)
+    assert late.rig.follower.next_points() is not None
+    assert len(late.rig.ends) == 2
+    assert not late.abandoned
 
 
 def test_path_with_a_start_time_is_not_repeated() -> None:

@@ -29,12 +29,16 @@ from servo_bridge.trajectory.line_capacity import QUEUE, PointLine, busiest_seco
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.point_queue import PointQueue
+from servo_bridge.trajectory.spline import START_TOLERANCE
 from servo_bridge.trajectory.thinning import thinned
 from servo_bridge.trajectory.timed_points import SEGMENT_PERIODS_MIN, TimedPoints, concatenated, timed_points
 
 LEAD: Final = 0.1
 """Time from the newest telemetry to the first point [s]: a sample in transit, two writes, 1.5 ms of the board, and
 delays of a busy computer."""
+
+_FIRST_WRITE: Final = 0.035
+"""Part of `LEAD` for the first write, at 115200 baud [s]."""
 
 _LEADS: Final = (LEAD, 3.0 * LEAD, 9.0 * LEAD)
 """Lead of a path from standstill at each attempt [s]: on a busy computer the first points may come too late."""
@@ -44,6 +48,9 @@ _LEAD_REMAINDER_MIN: Final = 0.7
 
 _LATE: Final = 0.02
 """Estimated time before the start of a path at which its points come too late for the board [s]."""
+
+_BEGIN: Final = 0.5 * START_TOLERANCE
+"""Largest motion of a joint along a path that may begin again from where it is then [rad]."""
 
 _LEAD_MAX: Final = 5.0
 """Largest lead [s]."""
@@ -134,7 +141,7 @@ class _Request:
     plannings: int = 0  # number of plannings in this attempt
     attempt: int = 0  # index in `_LEADS`
     lead: float = LEAD  # of the next planning [s]
-    repeatable: bool = False  # its joints had no path, and the board has not accepted a point
+    repeatable: bool = False  # its joints had no path, and move by less than `_BEGIN` with the points on the board
 
 
 @dataclass
@@ -309,14 +316,17 @@ class Follower:
         return before.request
 
     def points_accepted(self, axes: Iterable[int]) -> None:
-        """The board has accepted points of these axes."""
+        """The board has accepted the points of these axes that were sent."""
         for axis in axes:
-            request = self._axes[axis].request
-            if request is not None:
-                request.repeatable = False
+            one = self._axes[axis]
+            if one.request is None or one.path is None or not one.request.repeatable:
+                continue
+            times = np.array([one.path.start_time, one.sent[-1] * PERIOD if one.sent else self.now])
+            moved = np.ptp(one.path.continued(times).position, axis=0).max()
+            one.request.repeatable = not one.request.period and bool(moved < _BEGIN)
 
     def postpone(self, axes: Collection[int]) -> bool:
-        """Plan a path again with a longer lead, if the board has refused its first points because they came too late.
+        """Plan a path again with a longer lead, if the board has refused points of its begin that came too late.
 
         Parameters
         ----------
@@ -523,8 +533,8 @@ class Follower:
             return
         planned = done.result()
         path = planned.path
-        # The board needs the first point in time.
-        lead_min = max(_LEADS[request.attempt], planned.lead)
+        # The same margin for delays of the computer remains if the board needs more writes before the start.
+        lead_min = _LEADS[request.attempt] + max(planned.lead - _FIRST_WRITE, 0.0)
         late = path.start_time - self._time() < max(_LEAD_REMAINDER_MIN * lead_min, planned.lead)
         changed = not self._unchanged(request, running, path.start_time)
         changed |= len(self._stream_periods(request.axes)) > streams
@@ -644,7 +654,7 @@ def _moved(planned: Planned, start: float) -> Planned:
     """A plan moved to a start [s] by whole PWM periods."""
     by = math.ceil((start - planned.path.start_time) / PERIOD)
     points = {joint: replace(each, periods=each.periods + by) for joint, each in planned.points.items()}
-    return Planned(planned.path.shifted(by * PERIOD), points, planned.lead)
+    return replace(planned, path=planned.path.shifted(by * PERIOD), points=points)
 
 
 def _after(one: _Axis, points: TimedPoints) -> TimedPoints:
