@@ -167,7 +167,7 @@ class Motions:
         Raises
         ------
         CommandError
-            If they are refused, or this program was suspended: its joints have stopped, and do not start again.
+            If they are refused, or this program did not run for long: its joints have stopped, and do not start again.
         """
         renewed = time.monotonic()
         end = renewed + duration
@@ -178,8 +178,12 @@ class Motions:
             self._commander.require_armed()
             silent, renewed = time.monotonic() - renewed, time.monotonic()
             if silent > LEASE_TIMEOUT:
-                self.stop(message.name)  # the board may have no time-out
-                raise CommandError(f"the joints have stopped: this program was suspended for {silent:.1f} s")
+                cause = f"this program did not run for {silent:.1f} s: it was suspended, or the computer is too busy"
+                try:
+                    self.stop(message.name)  # the board may have no time-out
+                except CommandError as error:
+                    raise CommandError(f"{cause}; the stop is not confirmed: {error}") from None
+                raise CommandError(f"{cause}; the joints have stopped")
             self._commands.repeat(message)
             self._commands.answer(ticket)
 

@@ -26,7 +26,7 @@ from servo_msgs_py import topics
 
 _SOURCE: Final = topics.JOINT_TRAJECTORY
 
-_LAPSED: Final = f"its sender has not renewed it for {LEASE_TIMEOUT:g} s (ended, suspended, or lost)"
+_LAPSED: Final = f"its sender has not renewed it for {LEASE_TIMEOUT:g} s (ended, suspended, too slow, or lost)"
 
 
 class Lease:

@@ -14,10 +14,12 @@ from typing import Any
 import pytest
 from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
 from sensor_msgs.msg import JointState
+from servo_bridge.client import Commands
 from servo_bridge.command import main
 from servo_bridge.commander import Commander
 from servo_bridge.set_points import Mode
 from servo_bridge.wire.link_state import LinkState
+from servo_msgs_py.answers import LEASE_TIMEOUT
 from servo_msgs_py.runtime.qos import command_qos
 
 from servo_bridge import motions
@@ -214,6 +216,24 @@ def test_velocity_is_renewed_for_the_requested_time(
     assert longest(times) < 0.25 + longest(rounds)  # half of the time-out of the board
     assert len([name for name, *_ in rig.link.written if name == "cmd.speed"]) >= 2
     assert rig.link.written[-1] == ("cmd.speed", 0, (rig.link.catalogue["cmd.speed"].to_raw(50.0),))
+
+
+def test_a_program_that_did_not_run_does_not_start_its_joints_again(
+    rig: Rig, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It cannot know whether it was suspended or the computer was busy."""
+    rig.enable_axes()
+    renewed = Commands.repeat
+
+    def late(self: Commands, message: JointState) -> None:
+        renewed(self, message)
+        time.sleep(LEASE_TIMEOUT)
+
+    monkeypatch.setattr(Commands, "repeat", late)
+    status, out, err = command("velocity", "axis1=50", "--for", "5")
+    assert (status, out) == (1, "")
+    assert "did not run for 2." in err
+    assert "suspended, or the computer is too busy" in err
 
 
 @pytest.mark.parametrize("arguments", [("velocity", "axis1=50", "--for", "0.5"), ("position", "axis1=3")])
