@@ -54,7 +54,7 @@ CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
 TESTS := test test-simulated test-realtime
 C_CORE := $(wildcard $(foreach folder,math control sensing diagnosis drive app comm config,firmware/$(folder)/*.c))
-C_MODELS := $(wildcard servo_twin/native/arm/*.c servo_twin/native/chip/*.c servo_twin/native/plant/*.c)
+C_MODELS := $(wildcard servo_twin/native/arm/*.c servo_twin/native/chip/*.c servo_twin/native/stm32f405/*.c servo_twin/native/plant/*.c)
 C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 

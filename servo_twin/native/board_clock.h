@@ -5,7 +5,9 @@
 
 #include <stdint.h>
 
-#ifndef BOARD_CLOCK_MHZ
+#if defined(BOARD_ODRIVE36)
+#define BOARD_CLOCK_MHZ 168 /* core of the STM32F405 */
+#else
 #define BOARD_CLOCK_MHZ 100 /* bus of the MC56F84789 */
 #endif
 

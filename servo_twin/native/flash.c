@@ -42,7 +42,7 @@ void flash_init(flash_t *flash, const uint8_t *image, uint64_t seed)
     for (uint32_t i = 0; i < FLASH_WORDS; i++) {
         flash->word[i] = (image != NULL) ? word_at(image + 4u * i) : FLASH_ERASED;
     }
-    for (uint32_t i = 0; i < FLASH_SECTORS; i++) {
+    for (uint32_t i = 0; i < FLASH_DATA_SECTORS; i++) {
         flash->erases[i] = (image != NULL) ? word_at(image + 4u * (FLASH_WORDS + i)) : 0u;
     }
 }
@@ -52,7 +52,7 @@ void flash_image(const flash_t *flash, uint8_t *image)
     for (uint32_t i = 0; i < FLASH_WORDS; i++) {
         put_word(image + 4u * i, flash->word[i]);
     }
-    for (uint32_t i = 0; i < FLASH_SECTORS; i++) {
+    for (uint32_t i = 0; i < FLASH_DATA_SECTORS; i++) {
         put_word(image + 4u * (FLASH_WORDS + i), flash->erases[i]);
     }
 }
@@ -67,8 +67,8 @@ static void change(flash_t *flash, double part)
         return;
     }
     flash->erases[flash->at]++;
-    for (uint32_t i = 0; i < FLASH_SECTOR_WORDS; i++) {
-        uint32_t *word = &flash->word[flash->at * FLASH_SECTOR_WORDS + i];
+    for (uint32_t i = 0; i < FLASH_DATA_SECTOR_WORDS; i++) {
+        uint32_t *word = &flash->word[flash->at * FLASH_DATA_SECTOR_WORDS + i];
         *word |= (part < 1.0) ? random_bits(flash, part) : FLASH_ERASED;
     }
 }

@@ -11,23 +11,33 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define FLASH_SECTORS 32u
-#define FLASH_SECTOR_WORDS 256u
-#define FLASH_WORDS (FLASH_SECTORS * FLASH_SECTOR_WORDS)
+#if defined(BOARD_ODRIVE36)
+#define FLASH_DATA_SECTORS 3u /* 1 to 3 of the program flash */
+#define FLASH_DATA_SECTOR_WORDS 4096u
+#else
+#define FLASH_DATA_SECTORS 32u
+#define FLASH_DATA_SECTOR_WORDS 256u
+#endif
+#define FLASH_WORDS (FLASH_DATA_SECTORS * FLASH_DATA_SECTOR_WORDS)
 
+#if defined(BOARD_ODRIVE36) /* typical */
+#define FLASH_ERASE_NS UINT64_C(250000000)
+#define FLASH_PROGRAM_NS UINT64_C(16000)
+#else
 #define FLASH_ERASE_NS UINT64_C(14000000)
 #define FLASH_PROGRAM_NS UINT64_C(65000)
+#endif
 
 #define FLASH_ERASED UINT32_C(0xFFFFFFFF)
 
 /* Image of the non-volatile contents: words and erase counts, low byte first. */
-#define FLASH_IMAGE_BYTES (4u * (FLASH_WORDS + FLASH_SECTORS))
+#define FLASH_IMAGE_BYTES (4u * (FLASH_WORDS + FLASH_DATA_SECTORS))
 
 typedef enum { FLASH_NOTHING, FLASH_ERASE, FLASH_PROGRAM } flash_command_t;
 
 typedef struct {
     uint32_t word[FLASH_WORDS];
-    uint32_t erases[FLASH_SECTORS]; /* number of erases of each sector since manufacture */
+    uint32_t erases[FLASH_DATA_SECTORS]; /* number of erases of each sector since manufacture */
     flash_command_t command; /* command in progress */
     uint32_t at; /* sector or word of the command */
     uint32_t value; /* word to be programmed */

@@ -22,6 +22,7 @@ FIRMWARE = TEST.parents[1] / "firmware"
 sys.path[:0] = [folder for folder in (str(TEST), str(FIRMWARE / "test")) if folder not in sys.path]
 
 import chip_rig  # noqa: E402
+import stm32_rig  # noqa: E402
 from native_library import NATIVE, PLANT, Native, compile_c  # noqa: E402
 from servo_twin.level import LEVEL_VARIABLE  # noqa: E402
 
@@ -91,3 +92,15 @@ def registers_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
 def rig(registers_c: Native) -> chip_rig.ChipRig:
     """A chip with running clocks, in an environment that the test defines."""
     return chip_rig.ChipRig(registers_c)
+
+
+@pytest.fixture(scope="session")
+def stm32_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
+    """The STM32F405 without its core (``ffi``, ``lib``)."""
+    return stm32_rig.build(tmp_path_factory.mktemp("stm32"))
+
+
+@pytest.fixture
+def stm32(stm32_c: Native) -> stm32_rig.Stm32Rig:
+    """A chip at 168 MHz with open clock gates."""
+    return stm32_rig.Stm32Rig(stm32_c)

@@ -60,7 +60,7 @@ static void launch(ftfl_t *ftfl)
     if (byte % 4u != 0u || byte / 4u >= FLASH_WORDS) {
         ftfl->errors |= STAT_ACCERR;
     } else if (command == COMMAND_ERASE) {
-        flash_erase(&ftfl->flash, byte / (4u * FLASH_SECTOR_WORDS), now_ns(ftfl));
+        flash_erase(&ftfl->flash, byte / (4u * FLASH_DATA_SECTOR_WORDS), now_ns(ftfl));
     } else {
         flash_program(&ftfl->flash, byte / 4u, value, now_ns(ftfl));
     }
