@@ -58,12 +58,25 @@ C_MODELS := $(wildcard servo_twin/native/arm/*.c servo_twin/native/chip/*.c serv
 C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
+# Board of `make firmware`, its configuration of the controller, and its generated files.
+BOARD ?= odrive36
+BOARD_CONFIG = firmware/config/$(BOARD).toml
+BOARD_FILES = $(VENV)/boards/$(BOARD)
+generated_for = SERVO_BOARD=$(1) PYTHONPATH=servo_msgs_py $(BIN)/python -m servo_msgs_py.codegen --output $(2) && \
+  SERVO_BOARD=$(1) PYTHONPATH=servo_msgs_py $(BIN)/python firmware/config/tune.py generate --config firmware/config/$(1).toml \
+  --output $(2)/config/servo_config_gen.c
+FLASH_TOOL ?= openocd
+IMAGE := firmware/port/stm32f405/build/servo
+FLASH_openocd = openocd -f interface/stlink.cfg -f target/stm32f4x.cfg -c "program $(IMAGE).elf verify reset exit"
+FLASH_st-flash = st-flash --reset --format ihex write $(IMAGE).hex
+FLASH_dfu-util = dfu-util -a 0 -d 0483:df11 -s 0x08000000:leave -D $(IMAGE).bin
+
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware firmware-elf chip-budget bench-twin bench-fmu bench-state bench-robot launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
+.PHONY: help setup extras demo up experiments bench bench-damage bench-firmware firmware flash chip-budget bench-twin bench-fmu bench-state bench-robot launch-tools targets fuzz test test-simulated test-realtime lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -98,8 +111,14 @@ bench-damage: $(VENV)/.native $(VENV)/.dev ## a million damaged frames between c
 bench-firmware: $(VENV)/.native ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
 
-firmware-elf: ## the firmware as an ELF file, for `virtual_board --elf` (servo_twin/doc/elf.md); OPT=-Os
-	@$(MAKE) --no-print-directory -C firmware/port/mc56f84789_m4 $(if $(OPT),OPT=$(OPT))
+# The generated files of the checkout are those of the DSC; another board has its own beside its objects.
+firmware: $(VENV)/.created ## firmware by arm-none-eabi-gcc as .elf, .hex and .bin, with its sizes; BOARD=odrive36 or mc56f84789_m4, OPT=-Os
+	@$(if $(wildcard $(BOARD_CONFIG)),$(call generated_for,$(BOARD),$(BOARD_FILES)))
+	@$(MAKE) --no-print-directory -C firmware/port BOARD=$(BOARD) $(if $(OPT),OPT=$(OPT)) $(if $(wildcard $(BOARD_CONFIG)),GENERATED=$(CURDIR)/$(BOARD_FILES))
+
+flash: firmware ## write the firmware to an odrive36 (firmware/port/stm32f405/README.md); FLASH_TOOL=openocd, st-flash or dfu-util
+	@command -v $(FLASH_TOOL) >/dev/null || { echo "$(FLASH_TOOL) is missing: sudo apt-get install openocd stlink-tools dfu-util" >&2; exit 1; }
+	$(FLASH_$(FLASH_TOOL))
 
 chip-budget: ## stack and RAM of the chip, estimated with arm-none-eabi-gcc and avr-gcc
 	@python3 firmware/port/chip_budget.py

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from servo_tuning.command import main
+from servo_msgs_py.runtime.program import run
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run("tune.py", "servo_tuning.command"))

@@ -1,6 +1,7 @@
 #include "drive/current_sense.h"
 
 #define MID_CODE UINT32_C(2048)
+#define FIRST_SHUNT ((uint16_t)hal_pair(PHASE_PAIR_AB)) /* phase a, or b if a has no shunt */
 #define TRACK_SHIFT 8 /* time constant: 256 slow ticks */
 
 /* The phase with the longest high-side time is not sensed: a in sectors 6 and 1, b in 2 and 3, c in 4 and 5. */
@@ -15,7 +16,7 @@ void current_sense_reset(current_sense_t *sense)
         sense->sum[phase] = 0;
     }
     sense->samples = 0;
-    sense->pair = PHASE_PAIR_AB;
+    sense->pair = hal_pair(PHASE_PAIR_AB);
     sense->duty = (abc_t){0, 0, 0};
     sense->current = (abc_t){0, 0, 0};
 }
@@ -23,19 +24,21 @@ void current_sense_reset(current_sense_t *sense)
 bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes)
 {
     const uint16_t window = UINT16_C(1) << SENSE_CALIBRATION_BITS;
+    const uint16_t first = (uint16_t)hal_pair((sense->samples < window) ? PHASE_PAIR_AB : PHASE_PAIR_CA);
     /* A pair that is selected in one call is converted before the next call: the first sample of a window is valid. */
     if (sense->samples < window) {
-        sense->sum[0] += codes.first;
-        sense->sum[1] += codes.second;
+        sense->sum[first] += codes.first;
+        sense->sum[first + 1U] += codes.second;
     } else {
-        sense->sum[2] += codes.first; /* pair CA: c comes first */
+        /* Pair CA: c comes first. With two shunts the pair is BC again, and b is measured anew. */
+        sense->sum[first] = ((sense->samples == window) ? 0U : sense->sum[first]) + codes.first;
     }
     sense->samples++;
-    sense->pair = (sense->samples < window) ? PHASE_PAIR_AB : PHASE_PAIR_CA;
+    sense->pair = hal_pair((sense->samples < window) ? PHASE_PAIR_AB : PHASE_PAIR_CA);
     if (sense->samples < 2U * window) {
         return false;
     }
-    for (uint16_t phase = 0; phase < SENSE_PHASES; phase++) {
+    for (uint16_t phase = FIRST_SHUNT; phase < SENSE_PHASES; phase++) {
         sense->offset[phase] = sense->sum[phase] << (SENSE_OFFSET_BITS - SENSE_CALIBRATION_BITS);
     }
     return true;
@@ -43,7 +46,7 @@ bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes)
 
 bool current_sense_offsets_plausible(const current_sense_t *sense, uint16_t tolerance)
 {
-    for (uint16_t phase = 0; phase < SENSE_PHASES; phase++) {
+    for (uint16_t phase = FIRST_SHUNT; phase < SENSE_PHASES; phase++) {
         const int32_t code = (int32_t)(sense->offset[phase] >> SENSE_OFFSET_BITS);
         if (code > (int32_t)MID_CODE + tolerance || code < (int32_t)MID_CODE - tolerance) {
             return false;

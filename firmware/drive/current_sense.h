@@ -23,7 +23,10 @@ void current_sense_reset(current_sense_t *sense);
 
 /* Phase pair with the longest low-side conduction in a sector of the SVM. */
 extern const uint8_t current_sense_pairs[7];
-static inline phase_pair_t current_sense_pair(uint16_t sector) { return (phase_pair_t)current_sense_pairs[sector]; }
+static inline phase_pair_t current_sense_pair(uint16_t sector)
+{
+    return hal_pair((phase_pair_t)current_sense_pairs[sector]);
+}
 
 #define SENSE_OFFSET_BITS 16
 

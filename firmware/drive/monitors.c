@@ -70,7 +70,9 @@ static void observe_currents(axis_t *axis, dq_t before)
 /* Rotate the sensed pair: all three converters are sampled within three ticks, independently of the duty cycles. */
 static void rotate_sense_pair(axis_t *axis)
 {
-    axis->sense.pair = (axis->sense.pair == PHASE_PAIR_CA) ? PHASE_PAIR_AB : (phase_pair_t)(axis->sense.pair + 1);
+    const phase_pair_t next =
+        (axis->sense.pair == PHASE_PAIR_CA) ? PHASE_PAIR_AB : (phase_pair_t)(axis->sense.pair + 1);
+    axis->sense.pair = hal_pair(next);
     hal_adc_select(axis->hal, axis->index, axis->sense.pair);
 }
 

@@ -7,7 +7,8 @@
  *   servo_m1_isr      t1, after the three conversions of motor 1
  *   servo_m2_isr      t3, at the end of the scan
  *   servo_edge_isr    at the captured encoder B edge of an axis, if the interrupt is armed
- *   servo_over_current_isr   when the over-current latch of an axis has opened its switches
+ *   servo_over_current_isr   when an over-current has opened the switches of an axis; of both axes, one after the
+ *                            other, if the board does not know which one it is
  *   servo_background  in an endless loop, below all interrupts
  */
 #ifndef SERVO_HAL_H
@@ -16,16 +17,22 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "config/board_gen.h"
+
 #define HAL_AXES 2
 
 typedef struct hal hal_t; /* context of the port; opaque to the application */
 
-/* The two phases whose shunts are sampled; the third current is their negative sum (DRM 2.3.2). */
+/* The two phases whose shunts are sampled; the third current is their negative sum (DRM 2.3.2). A board with two shunts
+ * has the pair BC only. */
 typedef enum {
     PHASE_PAIR_AB = 0,
     PHASE_PAIR_BC = 1,
     PHASE_PAIR_CA = 2,
 } phase_pair_t;
+
+/* Pair that a board samples if `pair` is wanted. */
+static inline phase_pair_t hal_pair(phase_pair_t pair) { return (BOARD_SHUNTS == 2UL) ? PHASE_PAIR_BC : pair; }
 
 /* One parallel conversion: 12-bit right-aligned codes (0..4095) of the first and second phase of a pair. A positive
  * current into the motor raises the code above mid-scale. */
@@ -34,15 +41,15 @@ typedef struct {
     uint16_t second; /* code of the second phase of the pair */
 } adc_pair_t;
 
-/* Encoder counter and free-running time stamp (bus clock / 128), both captured at the same B edge (DRM F17). */
+/* Encoder counter and free-running time stamp, both captured at the same B edge (DRM F17). */
 typedef struct {
     uint16_t count; /* encoder counts, 16 bits */
-    uint16_t time; /* ticks of bus clock / 128 */
+    uint16_t time; /* periods of BOARD_TIMER_CLOCK_HZ */
 } edge_capture_t;
 
 /* ---- analogue inputs ------------------------------------------------------------------------------------------ */
 
-/* Select the phase pair of the next conversions of `axis`, for currents and offsets. */
+/* Select the phase pair of the next conversions of `axis`, for currents and offsets: a result of hal_pair(). */
 void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair);
 
 /* Codes sampled at the low-side centre of `axis` (phase currents). */
@@ -59,13 +66,14 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis);
 
 /* ---- inverter -------------------------------------------------------------------------------------------------- */
 
-/* High-side duties of the phases in Q1.15 (0..32767 is 0..100 %); loaded at the next half cycle of the axis. */
+/* High-side duties of the phases in Q1.15 (0..32767 is 0..100 %); loaded at the next half cycle of the axis. A board may
+ * limit the duty of a phase with a shunt to a low side of BOARD_LOW_SIDE_NS. */
 void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c);
 
 /* on: the six switches of `axis` follow the duties; off: all switches open immediately. */
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on);
 
-/* True while the hardware over-current latch of `axis` holds its outputs off. */
+/* True while the over-current latch of `axis` holds its outputs off, or its gate drivers are not ready. */
 bool hal_over_current_active(hal_t *hal, uint16_t axis);
 
 /* Release the latch; it latches again at once if the current is still too high. */
@@ -75,14 +83,14 @@ void hal_over_current_clear(hal_t *hal, uint16_t axis);
 
 /* Digital inputs of an axis, after polarity: 1 is active. Limit switches and enable input are closed in normal
  * operation, so a broken wire gives the safe state. */
-#define HAL_INPUT_HOME UINT16_C(1)      /* closed: the shaft is in the range of the home switch */
+#define HAL_INPUT_HOME UINT16_C(1) /* closed: the shaft is in the range of the home switch */
 #define HAL_INPUT_LIMIT_MIN UINT16_C(2) /* open: the end of the travel is reached */
 #define HAL_INPUT_LIMIT_MAX UINT16_C(4)
 #define HAL_INPUT_ENABLE UINT16_C(8) /* closed without interruption since the last hal_enable_input */
 uint16_t hal_inputs(hal_t *hal, uint16_t axis);
 
-/* `used`: an open enable input of `axis` opens the six switches in hardware, until the next call of this function
- * with a closed input. Must not be called in RUN. */
+/* `used`: an open enable input of `axis` opens the six switches in hardware, or within 1 us, until the next call of this
+ * function with a closed input. Must not be called in RUN. */
 void hal_enable_input(hal_t *hal, uint16_t axis, bool used);
 
 /* Coil of the holding brake of `axis`; without current, and in reset, the brake is closed. */
@@ -117,8 +125,8 @@ void hal_capture_arm(hal_t *hal, uint16_t axis);
  * next arming returns false. */
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
 
-/* TMRx3: time since the last captured B edge in units of bus clock / 128; HAL_EDGE_AGE_OVERFLOW once 16 bits are not
- * enough (F19). */
+/* TMRx3: time since the last captured B edge in periods of BOARD_TIMER_CLOCK_HZ; HAL_EDGE_AGE_OVERFLOW once 16 bits are
+ * not enough (F19). */
 #define HAL_EDGE_AGE_OVERFLOW UINT32_C(0x10000)
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 
@@ -127,8 +135,8 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 /* Non-volatile memory: sectors of 32-bit words. An erase sets all bits of a sector to 1; then each word can be
  * programmed once. One command at a time. During a command, and after a power failure in it, the contents of the
  * sector or word are undefined; the data flash cannot be read during a command. */
-#define HAL_FLASH_SECTORS 4U
-#define HAL_FLASH_SECTOR_WORDS 256U
+#define HAL_FLASH_SECTORS BOARD_FLASH_SECTORS
+#define HAL_FLASH_SECTOR_WORDS BOARD_FLASH_SECTOR_WORDS
 #define HAL_FLASH_ERASED UINT32_C(0xFFFFFFFF) /* word of an erased sector */
 
 typedef enum {

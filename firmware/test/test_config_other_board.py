@@ -18,6 +18,11 @@ dead_time      = 0.5e-6
 switch_drop    = 0.1
 timer_clock    = 1.0e6
 encoder_filter = 100.0e-9
+shunts = 2
+low_side_time = 0.0
+over_current = 0.0
+flash_sectors = 2
+flash_sector_words = 4096
 
 [ranges]
 bus_voltage = 62.7

@@ -95,7 +95,7 @@ def test_the_diagnosis_includes_no_higher_layer(graph: Graph, above: str) -> Non
 def test_only_the_owner_of_a_board_selects_its_configuration(graph: Graph) -> None:
     default = "config/servo_config"
     users = {unit for unit, included in graph.items() if default in included}
-    assert users == {"config/servo_config_gen", "port/mc56f84789/startup"}
+    assert users == {"config/servo_config_gen", "port/mc56f84789/startup", "port/stm32f405/startup"}
 
 
 def test_dependencies_of_the_drive_have_one_direction_from_axis_to_latch(graph: Graph) -> None:

@@ -15,7 +15,8 @@ pytestmark = pytest.mark.slow
 
 STACK_MARGIN = 1.5  # stack frames of the chip's compiler are not known
 LIBRARY_ROOM = 512  # words of the run-time library, which also runs from RAM
-OTHERS = {"test", "port/avr", "port/cortex_m3", "port/mc56f84789_m4"}  # folders that are not flashed
+# Folders that are not flashed to the DSC.
+OTHERS = {"test", "port/avr", "port/cortex_m3", "port/mc56f84789_m4", "port/arm", "port/stm32f405"}
 FAST_ROOTS = (
     *("drive_current", "drive_observed", "encoder_source_fast", "observer_source_fast"),
     *("recorder_take", "adc_take_first", "adc_take_second", "port_receive"),

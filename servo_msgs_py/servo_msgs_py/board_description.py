@@ -40,6 +40,11 @@ class BoardDescription:
     switch_drop: float  # voltage drop of a switch or diode [V]
     timer_clock: float  # clock of the encoder edge timer [Hz]
     encoder_filter: float  # shortest level of an encoder channel that passes the input filter [s]
+    shunts: int  # phases with a shunt: 3, or 2 for phases b and c
+    low_side_time: float  # shortest low-side time of a phase whose current is sampled at its centre [s]
+    over_current: float  # limit of a phase current that the port applies [A]; 0: the hardware has a comparator
+    flash_sectors: int  # sectors for both copies of the stored set
+    flash_sector_words: int  # 32-bit words of a sector
     ranges: Mapping[str, float]  # full scales of the measured quantities, SI, by the names that variables.toml uses
 
     def __post_init__(self) -> None:
@@ -48,6 +53,14 @@ class BoardDescription:
                 raise ValueError(f"{self.name}: {key} = {getattr(self, key)!r} is not above 0")
         if not 0.0 <= self.dead_time < 0.5 * self.period:
             raise ValueError(f"{self.name}: two dead times of {self.dead_time:g} s fill the PWM period")
+        if self.shunts not in (2, 3):
+            raise ValueError(f"{self.name}: shunts = {self.shunts!r} is neither 2 nor 3")
+        if not 0.0 <= self.low_side_time < self.period:
+            raise ValueError(f"{self.name}: low_side_time = {self.low_side_time:g} s is no part of the PWM period")
+        if not 0.0 <= self.over_current < self.ranges["current"]:
+            raise ValueError(f"{self.name}: over_current = {self.over_current:g} A cannot be measured")
+        if self.flash_sectors < 2 or self.flash_sectors * self.flash_sector_words > 0x10000:
+            raise ValueError(f"{self.name}: {self.flash_sectors} sectors do not hold two copies of up to 65536 words")
         if abs(1e9 * self.period - self.period_ns) > 1e-3:
             raise ValueError(f"{self.name}: a PWM period of {self.period!r} s is no whole number of nanoseconds")
 
@@ -60,6 +73,11 @@ class BoardDescription:
     def period_ns(self) -> int:
         """PWM period [ns]."""
         return round(1e9 / self.pwm_frequency)
+
+    @property
+    def voltage_use_max(self) -> float:
+        """Largest part of the linear range of the modulation that leaves every low side its time for sampling."""
+        return 1.0 - 2.0 * self.low_side_time / self.period
 
     @classmethod
     def parse(cls, name: str, table: Mapping[str, Any]) -> BoardDescription:
@@ -81,13 +99,16 @@ class BoardDescription:
         Raises
         ------
         OtherBoardError
-            If there is none of this name.
+            If there is none of this name, or its file is not complete.
         """
         name = name or os.environ.get(VARIABLE) or DEFAULT_BOARD
         path = Path(name) if name.endswith(".toml") else _FOLDER / f"{name}.toml"
         if not path.is_file():
             raise OtherBoardError(f"there is no description of the board {name!r}; {_known()}")
-        return cls.parse(path.stem, read_toml(path))
+        try:
+            return cls.parse(path.stem, read_toml(path))
+        except (TypeError, ValueError) as error:
+            raise OtherBoardError(f"{path}: {error}") from None
 
 
 def board_of(reported: str) -> str | None:

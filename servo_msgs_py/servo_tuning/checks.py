@@ -71,6 +71,10 @@ def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
         if board(below) >= board(above):
             reason = f"not below {above} = {board(above):g} V"
             raise board.refused(below, reason, lower(f"board.{below}"), higher(f"board.{above}"))
+    most = board.description.voltage_use_max
+    if board("voltage_use") > most:
+        reason = f"the board {board.description.name} samples currents with {most:.4g} or less"
+        raise board.refused("voltage_use", reason, lower("board.voltage_use", most))
     for key in ("host_timeout", "command_timeout"):
         timeout = catalogue[f"param.{key}"]
         if not timeout.minimum <= board(key) <= timeout.maximum:

@@ -32,7 +32,7 @@ def load(path: Path, catalogue: Catalogue) -> Configuration:
 
 
 def read_table(path: Path) -> dict[str, Any]:
-    """Parsed file.
+    """Parsed file. With an entry ``base`` it contains the differences from another file, relative to its own folder.
 
     Raises
     ------
@@ -42,9 +42,21 @@ def read_table(path: Path) -> dict[str, Any]:
         If it cannot be read.
     """
     try:
-        return read_toml(path)
+        table = read_toml(path)
     except TextFileError as error:
         raise ConfigError(str(error)) from None
+    base = table.pop("base", None)
+    return table if base is None else _merged(read_table(path.parent / str(base)), table)
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables of `changes` change single entries, everything else replaces."""
+    nested = {
+        key: _merged(base[key], value)
+        for key, value in changes.items()
+        if isinstance(value, Mapping) and isinstance(base.get(key), Mapping)
+    }
+    return {**base, **changes, **nested}
 
 
 def loads(text: str, catalogue: Catalogue) -> Configuration:

@@ -172,8 +172,8 @@ class Board:
     firmware : Firmware, optional
         Another build of firmware, chip and plant; that of `level` by default.
     elf : bytes, optional
-        ELF file of the firmware (``make firmware-elf``), executed instruction by instruction instead of the linked
-        firmware, at level ``registers``. `core` has no effect then: the instructions take the time.
+        ELF file of the firmware (``make firmware BOARD=mc56f84789_m4``), executed instruction by instruction instead of
+        the linked firmware, at level ``registers``. `core` has no effect then: the instructions take the time.
 
     Raises
     ------

@@ -394,7 +394,7 @@ def _parser() -> argparse.ArgumentParser:
         "--elf",
         type=Path,
         metavar="FILE",
-        help="execute the firmware of this ELF file (make firmware-elf), at level registers",
+        help="execute the firmware of this ELF file (make firmware BOARD=mc56f84789_m4), at level registers",
     )
     parser.add_argument("--robot", metavar="MODEL", help=ROBOT_HELP)
     add_level_option(parser, "the board is")

@@ -64,7 +64,7 @@ def handlers(board: Board, seconds: float) -> dict[int, list[int]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--elf", type=Path, default=ELF, help="default: that of `make firmware-elf`")
+    parser.add_argument("--elf", type=Path, default=ELF, help="default: that of `make firmware BOARD=mc56f84789_m4`")
     parser.add_argument("--seconds", type=float, default=2.0, help="simulated time (default: %(default)g)")
     options = parser.parse_args()
     boards = [turning(None), turning(options.elf.read_bytes())]

@@ -1,8 +1,8 @@
 /* startup_m4.c - vector table and reset of the chip that does not exist: the peripherals of the MC56F84789 with the core of a
  * Cortex-M4 (README.md). The main program and the handlers are those of the DSC. */
-#include <stddef.h>
 #include <stdint.h>
 
+#include "port/arm/image.h"
 #include "port/mc56f84789/access.h"
 #include "port/mc56f84789/startup.h"
 #include "port/mc56f84789/vectors.h"
@@ -58,14 +58,6 @@ __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
 /* Baud rate of the serial line. Whoever writes the image may set another one here. */
 __attribute__((section(".rodata.image_baud"))) const uint32_t image_baud = SERIAL_BAUD;
 
-/* Where the board and its telemetry are, for a debugger. */
-const uint32_t image_layout[] = {
-    offsetof(servo_t, snapshot),
-    sizeof(snapshot_t),
-    offsetof(servo_t, axis[0].diagnosis.winding.temperature),
-    offsetof(servo_t, axis[1].diagnosis.winding.temperature),
-};
-
 static void enable_interrupt(uint32_t interrupt, uint32_t priority)
 {
     NVIC_IPR(interrupt) |= priority << (8U * (interrupt & 3U));
@@ -76,14 +68,9 @@ static void enable_interrupt(uint32_t interrupt, uint32_t priority)
 
 void image_reset(void)
 {
-    const uint32_t *from = image_data_load;
     __asm__ volatile("cpsid i"); /* until INTERRUPTS_ON */
-    for (volatile uint32_t *to = image_data; to < image_data_end; to++) {
-        *to = *from++;
-    }
-    for (volatile uint32_t *to = image_bss; to < image_bss_end; to++) {
-        *to = 0;
-    }
+    image_copy(image_data, image_data_end, image_data_load);
+    image_clear(image_bss, image_bss_end);
     PORT_VECTORS(ENABLE)
     startup_hal.baud = *(const volatile uint32_t *)&image_baud;
     (void)main();

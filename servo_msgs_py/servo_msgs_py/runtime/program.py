@@ -27,6 +27,8 @@ from importlib import import_module
 from types import FrameType
 from typing import Any, Final, NoReturn, ParamSpec
 
+from servo_msgs_py.board_description import VARIABLE, OtherBoardError
+
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 _NOT_OPENED: Final = (errno.ENOENT, errno.EACCES, errno.EISDIR, errno.ENOTDIR, errno.EPERM, errno.ENAMETOOLONG)
@@ -114,7 +116,12 @@ def run(name: str, module: str, *, ros: bool = False) -> int:
             "setup.bash (its rclpy is for Python 3.12), or install its wheels with pip install 'servo_msgs_py[ros]'"
         )
         return 1
-    return int(import_module(module).main())
+    try:
+        main = import_module(module).main
+    except OtherBoardError as error:  # scales are read with the modules that use them
+        complain(f"{name}: {VARIABLE}: {error}")
+        return 2
+    return int(main())
 
 
 def end(name: str, status: int) -> NoReturn:
