@@ -277,8 +277,7 @@ def test_binary_needs_no_python_and_the_sources_compile(exported: tuple[Path, Pa
     assert "python" not in listed
     sources = contents / "sources"
     include = [f"-I{sources / name}" for name in ("servo_twin/native", "firmware", "generated")]
-    files = [
-        sources / "servo_twin" / "native" / name for name in ("fmu/fmu.c", "board_ideal_layout.c", "board_state.c")
-    ]
+    names = ("fmu/fmu.c", "exported/exported_board.c", "board_ideal_layout.c", "board_state.c")
+    files = [sources / "servo_twin" / "native" / name for name in names]
     strict = ["-std=c99", "-fsyntax-only", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     subprocess.run(["cc", *strict, *include, *files], check=True)
