@@ -69,6 +69,12 @@ def parser() -> argparse.ArgumentParser:
         help="MuJoCo model to be written: the nearest <dcmotor> of each axis, and its error against the firmware "
         "(needs servo_twin[mujoco])",
     )
+    kinds.add_argument(
+        "--mujoco",
+        type=argument.output_file,
+        metavar="FILE",
+        help="plugin of MuJoCo to be written (.so): actuators with this board (needs servo_twin[mujoco])",
+    )
     exporter.set_defaults(run=_export)
 
     robot.add_parser(verbs, common, _levelled(FAST_LEVEL))
@@ -98,6 +104,11 @@ def _export(args: argparse.Namespace) -> int:
     result: dict[str, object]
     if args.mjcf:
         result = {"mjcf": str(args.mjcf), "errors": robot.export_mjcf(args.mjcf, plant, args.seed)}
+    elif args.mujoco:
+        from servo_twin.robot.plugin import export_plugin  # as below
+
+        export_plugin(args.mujoco, plant, args.seed)
+        result = {"mujoco": str(args.mujoco)}
     else:
         from servo_twin.fmu import export_fmu  # needs a C compiler and the sources, unlike the other commands
 
@@ -106,7 +117,7 @@ def _export(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(result))
     else:
-        print(f"wrote {args.mjcf or args.fmu}")
+        print(f"wrote {args.mjcf or args.mujoco or args.fmu}")
     return 0
 
 

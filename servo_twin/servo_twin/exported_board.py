@@ -16,7 +16,17 @@ from servo_msgs_py.catalogue import AXES, Variable, axis_name
 from servo_msgs_py.quantity import Quantity
 
 from servo_twin._board_pointers import write_pointers
-from servo_twin._build_native import COMPILER, EXTRA, FIRMWARE, IDEAL, NATIVE, OPTIONS, board_files, build_identity
+from servo_twin._build_native import (
+    COMPILER,
+    EXTRA,
+    FIRMWARE,
+    IDEAL,
+    NATIVE,
+    OPTIONS,
+    WARNINGS,
+    board_files,
+    build_identity,
+)
 from servo_twin.board import Board
 from servo_twin.board_memory import SimulationError
 from servo_twin.plant import AxisPlant, BusPlant, PinsPlant, PlantConfig, quantities
@@ -155,7 +165,7 @@ def _bus_parameters(plant: PlantConfig) -> list[_Number]:
     return _parameters(vars(plant.bus), BusPlant)
 
 
-def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], names: str, token: str) -> str:
+def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], points: int, names: str, token: str) -> str:
     """Text of ``exported_variables.h``."""
     faults = ", ".join(f"{{{kind}, {part}}}" for *_, kind, part in _FAULTS)
     axes = ",\n        ".join(f"{{{_c_members(axis.members())}}}" for axis in plant.axes)
@@ -164,6 +174,7 @@ def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], names: 
         "typedef struct {\n    const char *name;\n    uint32_t address;\n    uint16_t size; /* [bytes] */\n"
         "    double lsb, start;\n"
         "    bool is_signed, writable, initial;\n} firmware_value_t;\n\n"
+        f"static const uint32_t points_address = {points}u;\n\n"
         f"static const firmware_value_t firmware_values[] = {{\n{''.join(e.row() for e in elements)}}};\n\n"
         "typedef struct {\n    const char *name;\n    double minimum, maximum;\n    bool whole;\n} range_t;\n\n"
         f"{_ranges_text('axis_ranges', _axis_parameters(plant, 0))}{_ranges_text('bus_ranges', _bus_parameters(plant))}"
@@ -230,7 +241,7 @@ class ExportedBoard:
 
 @contextmanager
 def exported_board(
-    name: str, shell: Path, plant: PlantConfig | None, seed: int, options: Sequence[str | Path] = ()
+    name: str, shell: Sequence[Path], plant: PlantConfig | None, seed: int, options: Sequence[str | Path] = ()
 ) -> Iterator[ExportedBoard]:
     """Compile a board for this machine; its files exist until the end of the context.
 
@@ -238,8 +249,8 @@ def exported_board(
     ----------
     name : str
         Name of the library, without ending.
-    shell : Path
-        C file of the interface to the other simulator.
+    shell : sequence of Path
+        C files of the interface to the other simulator.
     plant : PlantConfig, optional
         Start values of the parameters; the packaged plant by default.
     seed : int
@@ -257,22 +268,25 @@ def exported_board(
     plant = (plant or PlantConfig.load()).drawn(seed)
     with Board(plant, seed=seed, level="ideal") as board:
         board.run(_BOOT)
-        elements = list(_elements(board))
+        elements, points = list(_elements(board)), board.address("cmd.points")
     variables = list(_variables(plant, elements))
-    files, headers = board_files([*IDEAL, NATIVE / "exported" / "exported_board.c", shell])
+    files, headers = board_files([*IDEAL, NATIVE / "exported" / "exported_board.c", *shell])
     with tempfile.TemporaryDirectory() as folder:
         generated = Path(folder)
         try:
             identity = build_identity([*files, *headers], [*OPTIONS, *EXTRA])
             pointers = write_pointers(IDEAL[0], [NATIVE, FIRMWARE], [], identity, generated)
-            text = _header(plant, seed, elements, _names(variables), identity)
+            text = _header(plant, seed, elements, points, _names(variables), identity)
             token = hashlib.sha256(text.encode()).hexdigest()[:32]
             header = generated / "exported_variables.h"
-            header.write_text(_header(plant, seed, elements, _names(variables), token), encoding="ascii")
+            text = _header(plant, seed, elements, points, _names(variables), token)
+            header.write_text(text, encoding="ascii")
             library = generated / f"{name}.so"
             include = [f"-I{folder}" for folder in (NATIVE, FIRMWARE, generated)]
             # Libraries are after the files that need them.
-            _compile([*OPTIONS, *EXTRA, "-fPIC", "-shared", *include, *files, *options, "-lm", "-o", library])
+            _compile(
+                [*OPTIONS, *WARNINGS, *EXTRA, "-fPIC", "-shared", *include, *files, *options, "-lm", "-o", library]
+            )
         except FileNotFoundError as error:
             raise SimulationError(f"no program {error.filename}; install a C compiler") from None
         yield ExportedBoard(variables, token, library, files, [*headers, header, pointers])

@@ -124,7 +124,7 @@ def export_fmu(path: Path, plant: PlantConfig | None = None, seed: int = 1) -> N
     OSError
         If the package is not in a checkout with the sources of the firmware, or the file cannot be written.
     """
-    with exported_board(MODEL, NATIVE / "fmu" / "fmu.c", plant, seed) as board:
+    with exported_board(MODEL, [NATIVE / "fmu" / "fmu.c"], plant, seed) as board:
         description = _description(board.variables, board.token)
         write_file(path, lambda stream: _pack(stream, description, board))
 

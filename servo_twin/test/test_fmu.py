@@ -220,6 +220,18 @@ def test_parameters_are_the_plant(fmu: Instance) -> None:
     assert "axis2.param.i_q_limit: the firmware refuses the value" in fmu.messages[-1]
 
 
+def test_parameter_of_the_plant_is_the_value_of_its_input(fmu: Instance) -> None:
+    fmu.set("plant.bus.u_source", 28.0)
+    fmu.set("plant.axis1.load_torque", 0.01)
+    assert fmu.get("supply.u_source") == 28.0
+    assert fmu.get("axis1.torque") == -0.01
+    fmu.set("supply.u_source", 30.0)
+    fmu.set("plant.bus.u_source", 29.0)  # the input is given
+    fmu.start()
+    fmu.step(1600)
+    assert fmu.get("u_dc") == pytest.approx(30.0, abs=0.2)
+
+
 def test_step_back_and_another_instance_continue_with_the_same_bits(
     fmu: Instance, exported: tuple[Path, Path], description: ModelDescription
 ) -> None:

@@ -29,6 +29,7 @@ typedef struct {
     board_config_t config;
     double start; /* [s] */
     double input[INPUTS];
+    bool given[INPUTS]; /* otherwise it is that of the plant, or 0 */
     double firmware[FIRMWARE_VALUES]; /* last written [SI] */
     bool written[FIRMWARE_VALUES];
 } data_t;
@@ -60,6 +61,16 @@ const exported_variable_t *exported_variables(size_t *n)
     return exported_names;
 }
 
+const exported_variable_t *exported_variable(const char *name)
+{
+    for (size_t k = 0; k < sizeof exported_names / sizeof exported_names[0]; k++) {
+        if (strcmp(exported_names[k].name, name) == 0) {
+            return &exported_names[k];
+        }
+    }
+    return NULL;
+}
+
 exported_t *exported_new(void)
 {
     exported_t *exported = (exported_t *)calloc(1, sizeof *exported);
@@ -77,6 +88,19 @@ void exported_free(exported_t *exported)
     }
 }
 
+/* Inputs that have a parameter of the plant, unless they are given. */
+static void inputs_of_plant(data_t *data)
+{
+    if (!data->given[U_SOURCE]) {
+        data->input[U_SOURCE] = data->config.bus.u_source;
+    }
+    for (size_t i = 0; i < BOARD_AXES; i++) {
+        if (!data->given[i * AXIS_INPUTS + TORQUE]) {
+            data->input[i * AXIS_INPUTS + TORQUE] = -data->config.axis[i].load_torque;
+        }
+    }
+}
+
 void exported_reset(exported_t *exported)
 {
     data_t *data = &exported->data;
@@ -85,10 +109,7 @@ void exported_reset(exported_t *exported)
     memset(data, 0, sizeof *data);
     data->token = EXPORT_TOKEN;
     data->config = exported_config;
-    data->input[U_SOURCE] = exported_config.bus.u_source;
-    for (size_t i = 0; i < BOARD_AXES; i++) {
-        data->input[i * AXIS_INPUTS + TORQUE] = -exported_config.axis[i].load_torque;
-    }
+    inputs_of_plant(data);
     for (size_t k = 0; k < FIRMWARE_VALUES; k++) {
         data->written[k] = firmware_values[k].initial;
         data->firmware[k] = firmware_values[k].start;
@@ -152,6 +173,7 @@ static exported_result_t set_input(exported_t *exported, size_t index, double va
     }
     const bool changed = exported->data.input[index] != value;
     exported->data.input[index] = value;
+    exported->data.given[index] = true;
     if (changed) {
         apply_input(exported, index);
     }
@@ -227,6 +249,7 @@ exported_result_t exported_set(exported_t *exported, uint32_t reference, double 
         return refused("is outside of its range; see min and max, or it is not a whole number", range->name);
     }
     *place = value;
+    inputs_of_plant(&exported->data);
     return done;
 }
 
@@ -284,6 +307,52 @@ exported_result_t exported_get(const exported_t *exported, uint32_t reference, d
     }
     *value = *place;
     return done;
+}
+
+double exported_number(const exported_t *exported, uint32_t reference)
+{
+    double value;
+    (void)exported_get(exported, reference, &value);
+    return value;
+}
+
+/* ---- points of a path ----------------------------------------------------------------------------------------------- */
+
+#define POINT_PART_BITS 12u /* fraction of a position */
+
+/* Smallest step of a quantity of the first axis, which is that of points. */
+static double lsb_of(const char *name)
+{
+    size_t k = 0;
+    while (strcmp(firmware_values[k].name, name) != 0) {
+        k++;
+    }
+    return firmware_values[k].lsb;
+}
+
+#define POINT_WORDS 4u
+
+exported_result_t exported_points(const exported_t *exported, const exported_point_t *points, size_t n)
+{
+    uint8_t bytes[4 * POINT_WORDS * BOARD_AXES];
+    for (size_t k = 0; k < n; k++) {
+        const double fine =
+            floor(points[k].position / lsb_of("axis1.position") * (double)(1u << POINT_PART_BITS) + 0.5);
+        const double speed = floor(points[k].velocity / lsb_of("axis1.speed") + 0.5);
+        if (!(fabs(fine) < 9e15) || !(fabs(speed) < 2147483648.0)) {
+            return refused("is out of the range of the firmware", "point");
+        }
+        const uint64_t whole = (uint64_t)(int64_t)fine;
+        const uint32_t part = (uint32_t)(whole & ((1u << POINT_PART_BITS) - 1u));
+        const uint32_t word[POINT_WORDS] = {points[k].tick, (uint32_t)(whole >> POINT_PART_BITS),
+                                            (uint32_t)(int32_t)speed, part << 16 | (uint32_t)points[k].axis << 28};
+        for (size_t i = 0; i < 4 * POINT_WORDS; i++) {
+            bytes[4 * POINT_WORDS * k + i] = (uint8_t)(word[i / 4] >> (8 * (i % 4)));
+        }
+    }
+    return (board_write(exported->board, points_address, bytes, (uint16_t)(4 * POINT_WORDS * n)) == 0)
+               ? done
+               : refused("is not accepted now", "point");
 }
 
 /* ---- start and state ------------------------------------------------------------------------------------------------ */

@@ -44,6 +44,7 @@ typedef struct {
 } exported_variable_t;
 
 const exported_variable_t *exported_variables(size_t *n);
+const exported_variable_t *exported_variable(const char *name); /* NULL: there is none */
 
 exported_t *exported_new(void); /* NULL: out of memory */
 void exported_free(exported_t *exported);
@@ -57,6 +58,7 @@ const char *exported_token(void);
 /* Inputs and tunable parameters at any time, other parameters before the start. Values are kept until the start. */
 exported_result_t exported_set(exported_t *exported, uint32_t reference, double value);
 exported_result_t exported_get(const exported_t *exported, uint32_t reference, double *value);
+double exported_number(const exported_t *exported, uint32_t reference); /* of a reference that exists */
 
 /* Power on; `time` is that of the other simulator [s]. */
 exported_result_t exported_start(exported_t *exported, double time);
@@ -64,6 +66,17 @@ double exported_start_time(const exported_t *exported);
 
 /* NULL: not started. */
 board_t *exported_board(const exported_t *exported);
+
+/* A point of a path: the shaft of an axis passes `position` [rad] with `velocity` [rad/s] at a tick of the firmware (app/points.c). */
+typedef struct {
+    int axis;
+    uint32_t tick;
+    double position, velocity;
+} exported_point_t;
+
+/* Send one point per axis; the firmware takes one write in a slow tick. Refused are values that it has no number for; whether it
+ * accepts the points, its variable point_refusal says later. */
+exported_result_t exported_points(const exported_t *exported, const exported_point_t *points, size_t n);
 
 /* A whole state, of any export with the same token. `size` becomes its size; it is written only if it fits into `room`. */
 exported_result_t exported_save(const exported_t *exported, uint8_t *state, size_t room, size_t *size);

@@ -1,0 +1,149 @@
+#include "mujoco/drives.h"
+
+#include <math.h>
+#include <stdio.h>
+
+#include "config/board_gen.h"
+
+#define PERIOD_NS ((uint64_t)BOARD_PWM_PERIOD_NS)
+#define POINT_NS UINT64_C(2000000) /* shortest time between two points of a path */
+/* From the arrival of a point until its predecessor is reached; the board needs 1.5 ms. */
+#define AHEAD_NS UINT64_C(2000000)
+#define ARRIVED 0.01 /* [rad] */
+
+void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega)
+{
+    const int joint = m->actuator_trnid[2 * actuator];
+    const double gear = m->actuator_gear[6 * actuator];
+    *theta = gear * d->qpos[m->jnt_qposadr[joint]];
+    *omega = gear * d->qvel[m->jnt_dofadr[joint]];
+}
+
+static double torque_constant(const exported_t *board, int axis)
+{
+    board_truth_t truth;
+    char name[64];
+    board_truth(exported_board(board), axis, &truth);
+    (void)snprintf(name, sizeof name, "plant.axis%d.pole_pairs", axis + 1);
+    return 1.5 * exported_number(board, exported_variable(name)->reference) * truth.psi_m;
+}
+
+/* The control signal of an actuator, as MuJoCo clamps it. */
+static double signal_of(const mjModel *m, const mjData *d, int actuator)
+{
+    const double *range = m->actuator_ctrlrange + 2 * actuator;
+    const double signal = d->ctrl[actuator];
+    return m->actuator_ctrllimited[actuator] ? fmin(fmax(signal, range[0]), range[1]) : signal;
+}
+
+static void warn(exported_result_t result)
+{
+    if (result.status != EXPORTED_DONE) {
+        mju_warning(PLUGIN_NAME ": %s: %s", result.where, result.what);
+    }
+}
+
+static exported_point_t next_point(int axis, coupled_axis_t *of, double signal, const exported_t *board,
+                                   uint64_t interval_ns)
+{
+    const exported_point_t point = {
+        .axis = axis,
+        .tick = (uint32_t)exported_number(board, exported_variable("tick")->reference) +
+                (uint32_t)((interval_ns + AHEAD_NS) / PERIOD_NS),
+        .position = of->last - of->zero,
+        .velocity = (signal - of->before) / (2e-9 * (double)interval_ns), /* central difference */
+    };
+    of->path = PATH_RUNS;
+    of->before = of->last;
+    of->last = signal;
+    return point;
+}
+
+void drive_follow(const mjModel *m, const mjData *d, const drive_t drive[AXES], coupled_axis_t of[AXES],
+                  const exported_t *board, uint64_t step_ns)
+{
+    const uint64_t steps = (POINT_NS + step_ns - 1) / step_ns;
+    exported_point_t points[AXES];
+    size_t n = 0;
+    if (board_time_ns(exported_board(board)) / step_ns % steps != 0) {
+        return;
+    }
+    const double refusal = exported_number(board, exported_variable("point_refusal")->reference);
+    const bool refused = refusal != POINT_REFUSAL_NONE && refusal != POINT_REFUSAL_MODE;
+    for (int axis = 0; axis < AXES; axis++) {
+        if (of[axis].path == PATH_RUNS && refused) {
+            mju_warning(PLUGIN_NAME
+                        ": actuator %d: the firmware refuses the path (point_refusal %g); let ctrl change smoothly",
+                        drive[axis].actuator, refusal);
+            of[axis].path = PATH_NONE;
+        } else if (of[axis].path != PATH_NONE) {
+            const double signal = signal_of(m, d, drive[axis].actuator);
+            points[n++] = next_point(axis, &of[axis], isnan(signal) ? of[axis].last : signal, board, steps * step_ns);
+        }
+    }
+    const exported_result_t result = (n > 0) ? exported_points(board, points, n) : (exported_result_t){EXPORTED_DONE};
+    warn(result);
+    for (size_t k = 0; k < n && result.status != EXPORTED_DONE; k++) {
+        of[points[k].axis].path = PATH_NONE;
+    }
+}
+
+/* A path begins where the shaft has been moved to. */
+static void approach(const drive_t *drive, coupled_axis_t *of, double signal, exported_t *board)
+{
+    const double target = signal - of->zero;
+    const bool rests = of->last == signal;
+    of->last = of->before = signal;
+    if (exported_number(board, drive->mode_command) != CONTROL_MODE_POSITION) {
+        /* The set-point of the shaft's place: the next one is then a change, also if it is that of the last move. */
+        warn(exported_set(board, drive->mode_command, CONTROL_MODE_POSITION));
+        warn(exported_set(board, drive->set_point, exported_number(board, drive->position)));
+    } else if (rests && exported_number(board, drive->set_point) == target &&
+               fabs(exported_number(board, drive->position) - target) < ARRIVED) {
+        of->path = PATH_BEGINS;
+        warn(exported_set(board, drive->mode_command, CONTROL_MODE_TRAJECTORY));
+    } else {
+        warn(exported_set(board, drive->set_point, target));
+    }
+}
+
+void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,
+                   coupled_axis_t *of)
+{
+    const double state = exported_number(board, drive->state);
+    if (state == STATE_STOP && exported_number(board, drive->enable) != 1.0) {
+        (void)exported_set(board, drive->mode_command,
+                           (drive->mode == CONTROL_MODE_TRAJECTORY) ? CONTROL_MODE_POSITION : drive->mode);
+        (void)exported_set(board, drive->enable, 1.0);
+    }
+    if (state != STATE_RUN || exported_number(board, drive->substate) != SUBSTATE_SPIN) {
+        of->path = PATH_NONE;
+        return;
+    }
+    double signal = signal_of(m, d, drive->actuator);
+    if (isnan(of->zero)) {
+        double omega;
+        drive_motion(m, d, drive->actuator, &of->zero, &omega);
+        of->zero -= exported_number(board, drive->position);
+        of->last = NAN;
+    }
+    if (isnan(signal)) {
+        return; /* MuJoCo warns */
+    }
+    switch (drive->mode) {
+    case CONTROL_MODE_TRAJECTORY:
+        if (of->path == PATH_NONE) {
+            approach(drive, of, signal, board);
+        }
+        break;
+    case CONTROL_MODE_POSITION:
+        warn(exported_set(board, drive->set_point, signal - of->zero));
+        break;
+    case CONTROL_MODE_TORQUE:
+        warn(exported_set(board, drive->set_point, signal / torque_constant(board, axis)));
+        break;
+    default:
+        warn(exported_set(board, drive->set_point, signal));
+        break;
+    }
+}

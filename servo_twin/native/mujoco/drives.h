@@ -1,0 +1,45 @@
+/* drives.h - the axes of a board as actuators: control signals become commands of the firmware. */
+#ifndef MUJOCO_DRIVES_H
+#define MUJOCO_DRIVES_H
+
+#include <mujoco/mujoco.h>
+#include <stdint.h>
+
+#include "config/contract_gen.h"
+#include "exported/exported_board.h"
+
+#define PLUGIN_NAME "servo.board"
+#define AXES BOARD_AXES
+
+typedef struct {
+    int actuator; /* -1: none */
+    control_mode_t mode;
+    uint32_t state, substate, position, enable, mode_command, set_point; /* value references */
+} drive_t;
+
+enum {
+    PATH_NONE,
+    PATH_BEGINS, /* no point has been sent */
+    PATH_RUNS
+};
+
+/* State of a drive. */
+typedef struct {
+    double torque; /* mean of the last step [N m] */
+    double zero; /* control signal minus set-point of the firmware, for angles [rad]; NaN: not in RUN/SPIN yet */
+    uint64_t path; /* PATH_*: the control signal is sent as points */
+    double last, before; /* control signal one point ago, and two */
+} coupled_axis_t;
+
+/* Angle [rad] and speed [rad/s] of the motor of an actuator. */
+void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega);
+
+/* Enable the axis, wait until its rotor is found, then give it the control signal. */
+void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,
+                   coupled_axis_t *of);
+
+/* Send the previous control signals as points; after a refusal the shafts are moved to their control signals first. */
+void drive_follow(const mjModel *m, const mjData *d, const drive_t drive[AXES], coupled_axis_t of[AXES],
+                  const exported_t *board, uint64_t step_ns);
+
+#endif

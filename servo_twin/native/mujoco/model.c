@@ -1,0 +1,216 @@
+#include "mujoco/model.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define TICK_NS (PERIOD_NS * AXIS_SLOW_PERIODS)
+#define INERTIA_TOLERANCE 0.01
+#define TIME_TOLERANCE 1e-3 /* of a time step [ns] */
+
+static const char *const mode_names[] = {[CONTROL_MODE_POSITION] = "POSITION",
+                                         [CONTROL_MODE_SPEED] = "SPEED",
+                                         [CONTROL_MODE_TORQUE] = "TORQUE",
+                                         [CONTROL_MODE_TRAJECTORY] = "TRAJECTORY"};
+static const char *const set_points[] = {[CONTROL_MODE_POSITION] = "cmd.position",
+                                         [CONTROL_MODE_SPEED] = "cmd.speed",
+                                         [CONTROL_MODE_TORQUE] = "cmd.i_q",
+                                         [CONTROL_MODE_TRAJECTORY] = "cmd.position"};
+
+#define MODES (sizeof mode_names / sizeof mode_names[0])
+
+/* Value reference of a quantity of an axis that every board has. */
+static uint32_t of_axis(int axis, const char *name)
+{
+    char text[64];
+    (void)snprintf(text, sizeof text, "axis%d.%s", axis + 1, name);
+    return exported_variable(text)->reference;
+}
+
+/* Not the commands, which the plugin gives, nor load and lock of a shaft that MuJoCo moves. */
+bool model_configurable(const exported_variable_t *one)
+{
+    return one->writable && strstr(one->name, ".cmd.") == NULL && strstr(one->name, ".torque") == NULL &&
+           strstr(one->name, ".locked") == NULL && strcmp(one->name, "param.command_timeout") != 0;
+}
+
+static const char *config(const mjModel *m, int instance, const char *name)
+{
+    const char *text = mj_getPluginConfig(m, instance, name);
+    return (text != NULL) ? text : "";
+}
+
+static const char *refuse_drive(const mjModel *m, int instance, int actuator)
+{
+    const int joint = m->actuator_trnid[2 * actuator];
+    if (actuator < 0 || m->actuator_plugin[actuator] != instance) {
+        return "no actuator of this plugin instance has this name";
+    }
+    if (m->actuator_trntype[actuator] != mjTRN_JOINT ||
+        (m->jnt_type[joint] != mjJNT_HINGE && m->jnt_type[joint] != mjJNT_SLIDE)) {
+        return "a motor turns a hinge or a slide; write joint=... of one of them";
+    }
+    return NULL;
+}
+
+/* "ACTUATOR [MODE]" of an axis. NULL, or what is wrong. */
+static const char *take_drive(const mjModel *m, int instance, drive_t *drive, const char *text)
+{
+    char name[TEXT_MAX];
+    (void)snprintf(name, sizeof name, "%s", text);
+    char *space = strrchr(name, ' ');
+    drive->mode = CONTROL_MODE_POSITION;
+    for (size_t k = 0; space != NULL && k < MODES; k++) {
+        if (strcmp(space + 1, mode_names[k]) == 0) {
+            drive->mode = (control_mode_t)k;
+            *space = '\0';
+            break;
+        }
+    }
+    drive->actuator = mj_name2id(m, mjOBJ_ACTUATOR, name);
+    return (drive->actuator < 0)
+               ? "no actuator has this name; write \"ACTUATOR [POSITION | SPEED | TORQUE | TRAJECTORY]\""
+               : refuse_drive(m, instance, drive->actuator);
+}
+
+/* Axes of the actuators: by the attributes axis1 and axis2, without them in the order of the model. */
+static const char *take_drives(const mjModel *m, int instance, model_t *model, const char **where)
+{
+    static const char *const names[AXES] = {"axis1", "axis2"};
+    int count = 0;
+    bool named = false;
+    for (int axis = 0; axis < AXES; axis++) {
+        model->drive[axis].actuator = -1;
+        const char *text = config(m, instance, names[axis]);
+        if (text[0] != '\0') {
+            named = true;
+            *where = names[axis];
+            const char *problem = take_drive(m, instance, &model->drive[axis], text);
+            if (problem != NULL) {
+                return problem;
+            }
+        }
+    }
+    for (int k = 0; k < (int)m->nu; k++) {
+        if (m->actuator_plugin[k] != instance) {
+            continue;
+        }
+        *where = "actuator";
+        if (!named && count < AXES) {
+            model->drive[count].actuator = k;
+            const char *problem = refuse_drive(m, instance, k);
+            if (problem != NULL) {
+                return problem;
+            }
+        } else if (count >= AXES || (model->drive[0].actuator != k && model->drive[1].actuator != k)) {
+            return "a board has two axes; name its actuators by axis1 and axis2, or use another instance";
+        }
+        count++;
+    }
+    return (model->drive[0].actuator == model->drive[1].actuator) ? "two axes have one actuator, or none has one"
+                                                                  : NULL;
+}
+
+/* Names of outputs, separated by blanks. */
+const char *model_take_sensors(const mjModel *m, int instance, model_t *model, const char **where)
+{
+    static const char blanks[] = " \t\r\n";
+    (void)snprintf(model->names, sizeof model->names, "%s", config(m, instance, "sensors"));
+    model->sensors = 0;
+    char *name = model->names + strspn(model->names, blanks);
+    while (*name != '\0') {
+        char *end = name + strcspn(name, blanks);
+        char *next = end + strspn(end, blanks);
+        *end = '\0';
+        const exported_variable_t *one = exported_variable(name);
+        *where = name;
+        if (one == NULL || model->sensors == SENSORS_MAX) {
+            return (one == NULL) ? "sensors: the board has no such quantity" : "sensors: more than 64 quantities";
+        }
+        model->sensor[model->sensors++] = one->reference;
+        name = next;
+    }
+    return NULL;
+}
+
+const char *model_configure(const mjModel *m, int instance, exported_t *board, const char **where)
+{
+    size_t n;
+    const exported_variable_t *variables = exported_variables(&n);
+    exported_reset(board);
+    for (size_t k = 0; k < n; k++) {
+        const char *text = model_configurable(&variables[k]) ? config(m, instance, variables[k].name) : "";
+        if (text[0] != '\0') {
+            char *end;
+            const double value = strtod(text, &end);
+            *where = variables[k].name;
+            if (*end != '\0') {
+                return "not a number";
+            }
+            const exported_result_t result = exported_set(board, variables[k].reference, value);
+            if (result.status != EXPORTED_DONE) {
+                return result.what;
+            }
+        }
+    }
+    return NULL;
+}
+
+/* The rotor of an axis is in the inertia of its joint; the brake of a plant does not act on it. */
+static const char *check_joint(const mjModel *m, model_t *model, const exported_t *board, int axis)
+{
+    char name[64];
+    const int actuator = model->drive[axis].actuator;
+    const double gear = m->actuator_gear[6 * actuator];
+    (void)snprintf(name, sizeof name, "plant.axis%d.inertia", axis + 1);
+    const double least = gear * gear * exported_number(board, exported_variable(name)->reference);
+    if (m->dof_armature[m->jnt_dofadr[m->actuator_trnid[2 * actuator]]] < (1.0 - INERTIA_TOLERANCE) * least) {
+        (void)snprintf(model->text, sizeof model->text,
+                       "the joint has less than the inertia of the rotor; write armature=\"%g\"", least);
+        return model->text;
+    }
+    (void)snprintf(name, sizeof name, "plant.axis%d.brake_torque", axis + 1);
+    return (exported_number(board, exported_variable(name)->reference) > 0.0)
+               ? "the holding brake of the plant does not act on a joint of MuJoCo; set its brake_torque to 0"
+               : NULL;
+}
+
+bool model_step(const mjModel *m, uint64_t period_ns, uint64_t *step_ns)
+{
+    const double step = m->opt.timestep * 1e9;
+    *step_ns = (step > 0.5 && step < 1e12) ? (uint64_t)(step + 0.5) : 0;
+    return *step_ns >= period_ns && *step_ns % period_ns == 0 && fabs(step - (double)*step_ns) < TIME_TOLERANCE;
+}
+
+const char *model_take(const mjModel *m, int instance, model_t *model, exported_t *board, const char **where)
+{
+    uint64_t step_ns;
+    *where = "timestep";
+    if (!model_step(m, PERIOD_NS, &step_ns)) {
+        return "not a multiple of a PWM period; write for example <option timestep=\"0.0005\"/>";
+    }
+    const char *problem = take_drives(m, instance, model, where);
+    for (int axis = 0; problem == NULL && axis < AXES; axis++) {
+        *where = "timestep";
+        if (model->drive[axis].mode == CONTROL_MODE_TRAJECTORY && step_ns % TICK_NS != 0) {
+            problem = "in mode TRAJECTORY a multiple of a slow tick; write for example <option timestep=\"0.0005\"/>";
+        }
+    }
+    problem = (problem == NULL) ? model_take_sensors(m, instance, model, where) : problem;
+    problem = (problem == NULL) ? model_configure(m, instance, board, where) : problem;
+    for (int axis = 0; axis < AXES; axis++) {
+        drive_t *drive = &model->drive[axis];
+        if (problem == NULL && drive->actuator >= 0) {
+            *where = m->names + m->name_actuatoradr[drive->actuator];
+            problem = check_joint(m, model, board, axis);
+        }
+        drive->state = of_axis(axis, "state");
+        drive->substate = of_axis(axis, "substate");
+        drive->position = of_axis(axis, "position");
+        drive->enable = of_axis(axis, "cmd.enable");
+        drive->mode_command = of_axis(axis, "cmd.mode");
+        drive->set_point = of_axis(axis, set_points[drive->mode]);
+    }
+    return problem;
+}

@@ -1,0 +1,264 @@
+"""The plugin of MuJoCo: motion by its four modes, states that MuJoCo copies, refusals."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.cli import main
+from servo_twin.plant import PlantConfig
+
+pytest.importorskip("mujoco", reason="there is no MuJoCo 4 for Python 3.10")
+
+import mujoco
+from mujoco import rollout
+
+PLANT: Final = PlantConfig.load()
+GEAR: Final = 100.0
+PATH_DELAY: Final = 12  # steps of 0.5 ms
+SENSORS: Final = "axis1.state axis1.substate axis1.faults axis2.speed truth.axis2.torque_e u_dc"
+STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
+SEARCHED: Final = 2600  # steps until both rotors are found
+
+
+@pytest.fixture(scope="module", autouse=True)
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plugin") / "servo.so"
+    assert main(["export", "--mujoco", str(path), "--seed", "3"]) == 0
+    mujoco.mj_loadPluginLibrary(str(path))
+    return path
+
+
+@pytest.fixture
+def warnings() -> Iterator[list[str]]:
+    """Warnings of MuJoCo, which would be in a file otherwise."""
+    texts: list[str] = []
+    mujoco.set_mju_user_warning(texts.append)
+    yield texts
+    mujoco.set_mju_user_warning(None)
+
+
+def arm(axis1: str = "shoulder", axis2: str = "elbow", config: str = "", step: float = 0.0005) -> str:
+    """Text of a model of two joints; each motor with its rotor in the armature of the joint."""
+    named = "".join(f'<config key="axis{n}" value="{value}"/>' for n, value in ((1, axis1), (2, axis2)) if value)
+    armature = [axis.inertia * GEAR**2 for axis in PLANT.axes]
+    joint = 'axis="0 -1 0" damping="0.02" frictionloss="0.05"'
+    link = '<geom type="capsule" size="0.02" contype="0" conaffinity="0" fromto="0 0 0 0 0 -0.3" mass="0.5"/>'
+    actuators = "".join(
+        f'<plugin name="{name}" joint="{name}" gear="{GEAR}" plugin="servo.board" instance="board" {limits}/>'
+        for name, limits in (("shoulder", 'ctrlrange="-60 60"'), ("elbow", ""))
+    )
+    return f"""
+      <mujoco>
+        <option timestep="{step}" integrator="implicitfast"/>
+        <extension><plugin plugin="servo.board"><instance name="board">
+          <config key="sensors" value="{SENSORS}"/>{named}{config}
+        </instance></plugin></extension>
+        <worldbody>
+          <body>
+            <joint name="shoulder" {joint} armature="{armature[0]}"/>{link}
+            <body pos="0 0 -0.3"><joint name="elbow" {joint} armature="{armature[1]}"/>{link}</body>
+          </body>
+        </worldbody>
+        <actuator>{actuators}</actuator>
+        <sensor><plugin name="board" plugin="servo.board" instance="board"/></sensor>
+        <keyframe><key name="raised" qpos="0.3 -0.2"/></keyframe>
+      </mujoco>"""
+
+
+def started(text: str) -> tuple[Any, Any]:
+    """Model and data with both axes in RUN/SPIN."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    run(model, data, SEARCHED)
+    assert board(data)["axis1.substate"] == Catalogue.load().enums["substate_t"]["SPIN"]
+    return model, data
+
+
+def run(model: Any, data: Any, steps: int, ctrl: Callable[[float], Any] | None = None) -> None:
+    for _ in range(steps):
+        if ctrl is not None:
+            data.ctrl[:] = ctrl(data.time)
+        mujoco.mj_step(model, data)
+
+
+def board(data: Any) -> dict[str, float]:
+    return dict(zip(SENSORS.split(), data.sensor("board").data.tolist(), strict=True))
+
+
+def bits(data: Any) -> bytes:
+    return bytes(data.qpos.tobytes() + data.qvel.tobytes() + data.plugin_state.tobytes())
+
+
+@pytest.fixture(scope="module")
+def moving(library: Path) -> tuple[Any, Any]:
+    """An arm in motion; use a copy."""
+    model, data = started(arm("shoulder", "elbow SPEED"))
+    data.ctrl[:] = [20.0, 5.0]
+    run(model, data, 300)
+    return model, data
+
+
+def test_angles_and_speeds_are_those_of_the_control_signals(moving: tuple[Any, Any]) -> None:
+    model, data = moving[0], copy.copy(moving[1])
+    run(model, data, 1000)
+    assert GEAR * data.qpos[0] == pytest.approx(20.0, abs=0.01)
+    assert GEAR * data.qvel[1] == pytest.approx(5.0, abs=0.3)
+    values = board(data)
+    assert values["axis2.speed"] == pytest.approx(5.0, abs=0.5)
+    assert values["axis1.faults"] == 0.0
+    assert 23.5 < values["u_dc"] < 28.0  # a supply takes no energy back
+    data.ctrl[0] = 90.0
+    run(model, data, 4000)
+    assert GEAR * data.qpos[0] == pytest.approx(60.0, abs=0.01)  # ctrlrange
+
+
+def test_torque_is_that_of_the_air_gap() -> None:
+    model, data = started(arm("shoulder TORQUE", "elbow TORQUE"))
+    data.ctrl[:] = [0.01, -0.02]
+    torques = []
+    for _ in range(400):
+        torques.append(data.actuator_force.copy())
+        mujoco.mj_step(model, data)
+    assert np.mean(torques[20:], axis=0) == pytest.approx([0.01, -0.02], rel=0.03)
+
+
+def test_paths_are_followed_with_their_feed_forward(warnings: list[str]) -> None:
+    """Sines of 1 Hz, which begin at rest; then a jump, which the firmware refuses and makes as a move."""
+    model, data = started(arm("shoulder TRAJECTORY", "elbow TRAJECTORY"))
+    begin = data.time + 0.5
+    signals, angles = [], []
+    for _ in range(3000):
+        cosine = 1.0 - np.cos(2.0 * np.pi * max(0.0, data.time - begin))
+        data.ctrl[:] = [20.0 * cosine, -15.0 * cosine]
+        signals.append(data.ctrl.copy())
+        angles.append(GEAR * data.qpos)
+        mujoco.mj_step(model, data)
+    error = np.subtract(angles[PATH_DELAY:], signals[:-PATH_DELAY])
+    assert np.ptp(angles, axis=0) == pytest.approx([40.0, 30.0], abs=0.1)
+    assert np.abs(error).max() < 0.02
+    assert warnings == []
+    data.ctrl[0] = 30.0
+    run(model, data, 5000)
+    assert 0 < len(warnings) <= 4
+    assert GEAR * data.qpos == pytest.approx(data.ctrl, abs=0.02)
+
+
+def test_every_copy_of_mujoco_continues_with_the_same_bits(moving: tuple[Any, Any]) -> None:
+    model, data = moving[0], copy.copy(moving[1])
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
+    others = {
+        "copy": copy.copy(data),
+        "pickle": pickle.loads(pickle.dumps(data)),
+        "state": mujoco.MjData(model),
+    }
+    mujoco.mj_setState(model, others["state"], state, STATE)
+    run(model, data, 400)
+    for name, other in others.items():
+        run(model, other, 400)
+        assert bits(other) == bits(data), name
+    mujoco.mj_setState(model, data, state, STATE)  # back in time
+    run(model, data, 400)
+    assert bits(data) == bits(others["copy"])
+
+
+def test_pickle_continues_in_another_process(moving: tuple[Any, Any], library: Path, tmp_path: Path) -> None:
+    model, data = moving[0], copy.copy(moving[1])
+    (tmp_path / "data").write_bytes(pickle.dumps(data))
+    script = (
+        "import mujoco, pickle, sys\n"
+        "mujoco.mj_loadPluginLibrary(sys.argv[1])\n"
+        "data = pickle.load(open(sys.argv[2], 'rb'))\n"
+        "for _ in range(100): mujoco.mj_step(data.model, data)\n"
+        "sys.stdout.buffer.write(data.qpos.tobytes() + data.qvel.tobytes() + data.plugin_state.tobytes())\n"
+    )
+    command = [sys.executable, "-c", script, str(library), str(tmp_path / "data")]
+    done = subprocess.run(command, capture_output=True, check=True, timeout=60.0)
+    run(model, data, 100)
+    assert done.stdout == bits(data)
+
+
+def test_rollouts_in_threads_have_the_bits_of_steps(moving: tuple[Any, Any]) -> None:
+    model, data = moving[0], copy.copy(moving[1])
+    full = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    initial = np.empty(mujoco.mj_stateSize(model, full))
+    mujoco.mj_getState(model, data, initial, full)
+    signals = np.array([[30.0, 5.0], [-10.0, 0.0], [30.0, 5.0]])
+    states, _ = rollout.rollout(
+        model,
+        [mujoco.MjData(model) for _ in range(2)],
+        np.tile(initial, (3, 1)),
+        np.repeat(signals[:, np.newaxis], 100, axis=1),
+    )
+    data.ctrl[:] = signals[0]
+    run(model, data, 100)
+    final = np.empty_like(initial)
+    mujoco.mj_getState(model, data, final, full)
+    assert states[0, -1].tobytes() == states[2, -1].tobytes() == final.tobytes()
+    assert states[1, -1].tobytes() != final.tobytes()
+
+
+def test_reset_and_keyframe_start_the_board_anew(moving: tuple[Any, Any]) -> None:
+    model, data = moving[0], copy.copy(moving[1])
+    ends = []
+    for _ in range(2):
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        run(model, data, 200)
+        ends.append(bits(data))
+    fresh = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, fresh, 0)
+    run(model, fresh, 200)
+    assert ends[0] == ends[1] == bits(fresh)
+
+
+def test_configuration_of_the_instance_is_that_of_the_board() -> None:
+    faults = Catalogue.load().flags["faults"]
+    text = arm(config='<config key="axis1.fault.open_phase_b" value="1"/><config key="plant.bus.u_source" value="30"/>')
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    run(model, data, SEARCHED)
+    values = board(data)
+    assert values["u_dc"] == pytest.approx(30.0, abs=0.5)
+    assert [fault.name for fault in faults if int(values["axis1.faults"]) >> fault.bit & 1]
+    assert data.actuator_force[0] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_jump_of_a_joint_is_named_and_the_simulation_goes_on(moving: tuple[Any, Any], warnings: list[str]) -> None:
+    model, data = moving[0], copy.copy(moving[1])
+    data.qpos[0] += 1.0
+    mujoco.mj_step(model, data)
+    assert "actuator 0: the motion is" in warnings[-1]
+    run(model, data, 10)
+    assert np.isfinite(data.qpos).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (arm(axis1="wrist"), "'axis1': no actuator has this name"),
+        (arm(axis1="shoulder PATH"), "'axis1': no actuator has this name"),
+        (arm(axis2="shoulder"), "two axes"),
+        (arm(axis2=""), "a board has two axes"),
+        (arm(step=0.0003), "'timestep': not a multiple of a PWM period"),
+        (arm("shoulder TRAJECTORY", step=0.0000625), "'timestep': in mode TRAJECTORY a multiple of a slow tick"),
+        (arm().replace("u_dc", "u_dcc"), "'u_dcc': sensors: the board has no such quantity"),
+        (arm(config='<config key="plant.axis1.r_s" value="-1"/>'), "'plant.axis1.r_s': is outside of its range"),
+        (arm(config='<config key="plant.axis1.r_s" value="1 ohm"/>'), "'plant.axis1.r_s': not a number"),
+        (arm(config='<config key="plant.axis1.brake_torque" value="1"/>'), "'shoulder': the holding brake"),
+        (arm(config='<config key="plant.axis3.r_s" value="1"/>'), "unrecognized attribute"),
+        (arm().replace(f'armature="{PLANT.axes[0].inertia * GEAR**2}"', ""), 'write armature="0.08"'),
+    ],
+)
+def test_what_does_not_fit_is_refused(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        mujoco.MjModel.from_xml_string(text)
