@@ -64,10 +64,10 @@ OWN_FILES = {
     "servo_twin/servo_twin/_build_native.py",
     "servo_twin/servo_twin/_core_time.py",
     "servo_twin/servo_twin/board.py",  # compiled module
-    "servo_twin/servo_twin/fmu.py",
     "servo_twin/servo_twin/identification/command.py",  # just written
     "servo_twin/servo_twin/processes.py",  # whole log of a child, for tests
     "servo_twin/servo_twin/validation/experiments/command.py",  # just written
+    "servo_twin/servo_twin/robot/plugin.py",  # just compiled
     "servo_twin/servo_twin/validation/sweep/command.py",  # modules of the package
 }
 """Modules that read files of the project, the build or their own work."""
