@@ -325,7 +325,7 @@ uint16_t hal_receiver_overruns(hal_t *hal) { return (uint16_t)hal->uart.overruns
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->watchdog_reset; }
 
 /* The last sectors of the flash, as on the chip: the first ones are for tables. */
-#define KEPT_WORD ((FLASH_SECTORS - HAL_FLASH_SECTORS) * FLASH_SECTOR_WORDS)
+#define KEPT_WORD ((FLASH_DATA_SECTORS - HAL_FLASH_SECTORS) * FLASH_DATA_SECTOR_WORDS)
 
 bool hal_flash_present(hal_t *hal)
 {
@@ -337,7 +337,7 @@ uint32_t hal_flash_read(hal_t *hal, uint16_t word) { return hal->flash.word[KEPT
 
 void hal_flash_erase(hal_t *hal, uint16_t sector)
 {
-    flash_erase(&hal->flash, FLASH_SECTORS - HAL_FLASH_SECTORS + sector, hal->now_ns);
+    flash_erase(&hal->flash, FLASH_DATA_SECTORS - HAL_FLASH_SECTORS + sector, hal->now_ns);
 }
 
 void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value)
