@@ -17,9 +17,12 @@ from servo_twin.plant import PlantConfig
 pytest.importorskip("mujoco", reason="there is no MuJoCo 4 for Python 3.10")
 
 import mujoco
+from rerun.chunk import RrdReader
 from servo_twin.robot.command import EXAMPLES, RobotLog, follow, load
 from servo_twin.robot.coupling import CouplingError, RobotDrives
+from servo_twin.robot.recording import FRAME
 from servo_twin.robot.robot_model import Motion, RobotModel
+from servo_twin.view.recording import read_scalars
 
 PLANT: Final = PlantConfig.load()
 
@@ -167,3 +170,24 @@ def test_command_writes_figures_and_a_plot(mjcf: Any, tmp_path: Path, capsys: py
     assert "none.xml: no such file" in capsys.readouterr().err
     assert main(["robot", "arm", "--time", "0.1"]) == 0
     assert "elbow     TRAJECTORY" in capsys.readouterr().out
+
+
+def translations(path: Path, entity: str) -> Any:
+    """Places of a body in a recording, shape (N, 3) [m]."""
+    column = "Transform3D:translation"
+    chunks = RrdReader(path).stream().filter(content=entity, is_static=False, components=column)
+    return np.array([place for chunk in chunks for place in chunk.to_record_batch()[column].to_pylist()])[:, 0]
+
+
+def test_recording_has_the_moving_bodies_and_the_curves(tmp_path: Path) -> None:
+    path = tmp_path / "arm.rrd"
+    assert main(["robot", "arm", "--time", "1", "--rrd", str(path), "--plot", str(tmp_path / "arm.png")]) == 0
+    time, angle = read_scalars(path, "/plot/position/shoulder/board")
+    _, target = read_scalars(path, "/plot/position/shoulder/set_point")
+    assert time[-1] == pytest.approx(1.0, abs=1e-6)
+    assert angle.max() > 0.3
+    assert np.abs(angle - target).max() < 1e-3
+    elbow = translations(path, "/robot/forearm")
+    assert len(elbow) == pytest.approx(1.0 / FRAME, abs=2)
+    assert np.ptp(elbow[:, 0]) > 0.05  # it swings
+    assert np.linalg.norm(elbow, axis=1) == pytest.approx(0.3, abs=1e-6)  # length of the upper arm

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -21,6 +21,7 @@ from servo_msgs_py import argument
 from servo_twin.board import SimulationError
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
+from servo_twin.view import scene
 
 if TYPE_CHECKING:
     from servo_twin.robot.coupling import RobotDrives
@@ -33,6 +34,9 @@ MODEL_HELP: Final = "MuJoCo model (MJCF) with joints that the board moves, or an
 _REST: Final = 1.0  # simulated after the last keyframe [s]
 
 _Array = NDArray[np.float64]
+
+Curves = dict[str, dict[tuple[str, str], _Array]]
+"""Curves of a motion by quantity (with its unit), then by actuator and source."""
 
 
 class RobotLog(NamedTuple):
@@ -60,6 +64,12 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         "--time", type=argument.positive, help=f"of the motion [s] (default: {_REST:g} s after the last keyframe)"
     )
     parser.add_argument("--plot", type=argument.picture, metavar="FILE", help="file for a plot of the motion")
+    parser.add_argument(
+        "--rrd",
+        type=argument.output_file,
+        metavar="FILE",
+        help="recording for the rerun viewer, with the moving robot (needs servo_twin[viewer])",
+    )
     parser.set_defaults(run=run)
 
 
@@ -121,7 +131,12 @@ def _needs_mujoco() -> Iterator[None]:
         raise SimulationError(f"this needs MuJoCo ({error}): pip install 'servo_twin[mujoco]'") from None
 
 
-def follow(robot: RobotModel, drives: RobotDrives, seconds: float | None = None) -> RobotLog:
+def follow(
+    robot: RobotModel,
+    drives: RobotDrives,
+    seconds: float | None = None,
+    watch: Callable[[float, Any], object] = lambda time, data: None,
+) -> RobotLog:
     """Search the rotors, home, and follow the keyframes.
 
     Parameters
@@ -132,6 +147,8 @@ def follow(robot: RobotModel, drives: RobotDrives, seconds: float | None = None)
         Its drives, from `RobotModel.robot`.
     seconds : float, optional
         Duration of the motion [s]; 1 s after the last keyframe by default.
+    watch : callable, optional
+        Called at every step with its time [s] and the ``mjData``.
 
     Raises
     ------
@@ -156,6 +173,7 @@ def follow(robot: RobotModel, drives: RobotDrives, seconds: float | None = None)
         time = data.time - begin
         data.ctrl[:] = motion(time + delays) + robot.corrections(data)
         drives.step()
+        watch(time + step, data)
         target = motion(np.full(model.nu, time + step))[drives.channels]
         volts = [board.truth(0).u_dc for board in drives.boards]
         rows.append((time + step, target, drives.lengths(), drives.speeds(), drives.torques(), volts))
@@ -188,10 +206,19 @@ def run(args: argparse.Namespace) -> int:
     drives = robot.robot(
         PlantConfig.load(args.plant), seed=args.seed, level=chosen_level(args.level, default=FAST_LEVEL)
     )
-    log = follow(robot, drives, args.time)
+    poses = None
+    if args.rrd:
+        from servo_twin.robot.recording import Poses
+
+        poses = Poses(robot.model)
+    log = follow(robot, drives, args.time, *([] if poses is None else [poses.watch]))
     found = figures(log, drives)
     if args.plot:
         _plot(log, drives, args.plot)
+    if poses is not None:
+        from servo_twin.robot.recording import write_recording
+
+        write_recording(args.rrd, robot.model, poses, log.time, curves(log, drives))
     if args.json:
         print(json.dumps(found))
         return 0
@@ -205,22 +232,41 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _plot(log: RobotLog, drives: RobotDrives, path: Path) -> None:
-    figure = new_figure(12.0, 8.0)
-    position, speed, torque, bus = figure.subplots(4, 1, sharex=True)
+def curves(log: RobotLog, drives: RobotDrives) -> Curves:
+    """Curves at the joints by quantity, then by actuator and source; voltages of the buses."""
+    position: dict[tuple[str, str], _Array] = {}
+    speed: dict[tuple[str, str], _Array] = {}
+    torque: dict[tuple[str, str], _Array] = {}
     for k, drive in enumerate(drives.drives):
         gear = float(drives.gear[k])
-        lines = position.plot(log.time, log.angle[:, k] / gear, label=drive.actuator)
-        speed.plot(log.time, log.speed[:, k] / gear, label=drive.actuator)
-        torque.plot(log.time, log.torque[:, k] * gear, label=drive.actuator, linewidth=0.5)
-        plot = {"POSITION": position, "TRAJECTORY": position, "SPEED": speed}.get(drive.mode or "")
-        if plot is not None:
-            plot.plot(log.time, log.set_point[:, k] / gear, ":", color=lines[0].get_color())
-    bus.plot(log.time, log.u_dc, linewidth=0.5)
-    labels = ("joint [rad or m] (set-point: dots)", "speed of joint [1/s]", "torque at joint [N m or N]", "bus [V]")
-    for plot, label in zip((position, speed, torque, bus), labels, strict=True):
-        plot.set_ylabel(label)
+        board = drive.actuator, scene.BOARD
+        position[board], speed[board] = log.angle[:, k] / gear, log.speed[:, k] / gear
+        torque[board] = log.torque[:, k] * gear
+        target = {"POSITION": position, "TRAJECTORY": position, "SPEED": speed}.get(drive.mode or "")
+        if target is not None:
+            target[drive.actuator, scene.SET_POINT] = log.set_point[:, k] / gear
+    return {
+        "position [rad or m]": position,
+        "speed [rad/s or m/s]": speed,
+        "torque [N m or N]": torque,
+        "bus [V]": {(f"bus{k + 1}", scene.BOARD): log.u_dc[:, k] for k in range(log.u_dc.shape[1])},
+    }
+
+
+def _plot(log: RobotLog, drives: RobotDrives, path: Path) -> None:
+    figure = new_figure(12.0, 8.0)
+    shown = curves(log, drives)
+    plots = figure.subplots(len(shown), 1, sharex=True)
+    for plot, (quantity, series) in zip(plots, shown.items(), strict=True):
+        for (actuator, source), values in series.items():
+            if source == scene.BOARD:
+                plot.plot(log.time, values, label=actuator, linewidth=0.7)
+                set_point = series.get((actuator, scene.SET_POINT))
+                if set_point is not None:
+                    plot.plot(log.time, set_point, ":", color=plot.lines[-1].get_color())
+        plot.set_ylabel(quantity)
         plot.grid(alpha=0.3)
-    position.legend()
-    bus.set_xlabel("time since the begin of the motion [s]")
+    plots[0].legend()
+    plots[0].set_title("at the joints; set-points: dots")
+    plots[-1].set_xlabel("time since the begin of the motion [s]")
     write_figure(figure, path)

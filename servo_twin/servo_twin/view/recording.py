@@ -87,7 +87,7 @@ class Recording:
                     claim.enter_context(claimed(Path(os.path.realpath(path))))
                 except ClaimError as error:
                     raise RecordingError(str(error)) from None
-                _check_writable(path)
+                check_writable(path)
                 sinks.append(rr.FileSink(str(path)))
             if grpc_port is not None:
                 server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=grpc_port, server_memory_limit=_SERVER_MEMORY)
@@ -226,8 +226,14 @@ class Recording:
             self._claim.close()
 
 
-def _check_writable(path: Path) -> None:
-    """Check before rerun opens the file, which reports errors only in its own log."""
+def check_writable(path: Path) -> None:
+    """Check before rerun opens the file, which reports errors only in its own log.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
     try:
         write_file(path, b"")
     except OSError as error:
