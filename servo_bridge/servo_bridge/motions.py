@@ -34,6 +34,7 @@ _MEAN: Final = 0.2  # time over which a velocity is averaged [s]
 _STANDSTILL: Final = 2.0  # time without motion after which a position is not reached any more [s]
 _STILL: Final = 1.0e-3  # largest motion of a joint at rest [rad]
 _REPEAT: Final = 0.05  # period of velocity and effort set-points, which expire otherwise [s]
+_CLOCK_SET: Final = 0.5  # jump of the stamps against the steady clock by which the system clock was set [s]
 _SILENCE: Final = 3.0  # longest time without telemetry [s]
 _VARIABLES: Final = {"position": "cmd.position", "velocity": "cmd.speed", "effort": "cmd.i_q"}
 
@@ -51,6 +52,7 @@ class Motions:
         self._commander = commander
         self._commands = commander.commands
         self._samples: deque[tuple[float, JointState]] = deque(maxlen=4000)  # with their board time [s]
+        self._set = 0.0  # by which the system clock was set meanwhile [s]
         self._received = 0.0  # steady time of the newest sample [s]
         self._applied: set[str] = set()  # variables of the set-points that took effect
         node, of = commander, commander.of
@@ -254,8 +256,13 @@ class Motions:
             raise CommandError(f"no telemetry for {_SILENCE:g} s: the bridge or its board was lost")
 
     def _on_sample(self, message: JointState) -> None:
-        self._received = time.monotonic()
-        self._samples.append((from_stamp(message.header.stamp) * 1e-9, message))
+        received, stamp = time.monotonic(), from_stamp(message.header.stamp) * 1e-9
+        if self._samples:
+            ahead = stamp - self._set - self._samples[-1][0] - (received - self._received)
+            if abs(ahead) > _CLOCK_SET:
+                self._set += ahead
+        self._received = received
+        self._samples.append((stamp - self._set, message))
 
     def _on_applied(self, message: Int64MultiArray) -> None:
         self._applied.add(applied_from_message(message).variable)

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
+from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 from servo_bridge.client import Commands
 from servo_bridge.command import main
@@ -20,6 +21,7 @@ from servo_bridge.commander import Commander
 from servo_bridge.set_points import Mode
 from servo_bridge.wire.link_state import LinkState
 from servo_msgs_py.answers import LEASE_TIMEOUT
+from servo_msgs_py.convert import from_stamp
 from servo_msgs_py.runtime.qos import command_qos
 
 from servo_bridge import motions
@@ -216,6 +218,28 @@ def test_velocity_is_renewed_for_the_requested_time(
     assert longest(times) < 0.25 + longest(rounds)  # half of the time-out of the board
     assert len([name for name, *_ in rig.link.written if name == "cmd.speed"]) >= 2
     assert rig.link.written[-1] == ("cmd.speed", 0, (rig.link.catalogue["cmd.speed"].to_raw(50.0),))
+
+
+@pytest.mark.parametrize("jump", [-3600, 3600])
+def test_a_system_clock_that_is_set_changes_no_time_of_a_motion(
+    rig: Rig, command: Command, monkeypatch: pytest.MonkeyPatch, jump: int
+) -> None:
+    """The stamps of the samples jump with it. The last velocity is the one that counts."""
+    rig.link.values["axis1.speed"] = 0
+    rig.enable_axes()
+    stamps: list[int] = []
+
+    def stamp_of(stamp: Time) -> int:
+        stamps.append(from_stamp(stamp) + (jump * 1_000_000_000 if len(stamps) > 60 else 0))
+        if len(stamps) == 50:
+            rig.link.values["axis1.speed"] = rig.link.catalogue["axis1.speed"].to_raw(50.0)
+        return stamps[-1]
+
+    monkeypatch.setattr(motions, "from_stamp", stamp_of)
+    monkeypatch.setattr(motions, "_MEAN", 0.05)
+    status, out, err = command("velocity", "axis1=50", "--for", "3")
+    assert len(stamps) > 150
+    assert (status, out[:15]) == (0, "done: axis1 at "), err
 
 
 def test_a_program_that_did_not_run_does_not_start_its_joints_again(
