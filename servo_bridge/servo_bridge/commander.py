@@ -108,7 +108,7 @@ class Commander(Client):
         self.watch()
         if not self.holds(lambda: self._armed[-1:] == [True], self.timeout):
             raise CommandError(f"set-points are not accepted within {self.timeout:g} s: {self._texts[-1]}; {text}")
-        return f"enabled: {self._texts[-1]}"
+        return f"the axes in use are enabled: {self._texts[-1]}"
 
     def disable(self) -> str:
         """Disable both axes; wait until the outputs are off.

@@ -6,6 +6,7 @@ all its code runs in the thread of the executor.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
@@ -34,6 +35,10 @@ from servo_bridge.telemetry import Snapshot
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample
 from servo_msgs_py import topics
 
+_SECOND: Final = 1.0  # period of /diagnostics and of slow readings [s]
+_TIMER_STOPPED: Final = 1.5
+"""Time after which the samples replace the timer of this period: when the system clock is set back, the timers of a ROS
+built for an old C library stand still until it has the time of before [s]."""
 _SIGN_OF_LIFE: Final = 0.1  # period of the timer that shows that the executor runs [s]
 _BACKLOG_NS: Final = 100_000_000
 """A sample is part of a backlog if the newest one that waits is later by more [ns]."""
@@ -93,10 +98,11 @@ class Supervisor:
         self._snapshot: Snapshot | None = None
         self._arrived: Sample | None = None  # the newest one, which may still wait in the inbox
         self._ended = False
+        self._second = time.monotonic()  # of the last `_every_second` [s]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         watch.begin()
         node.create_timer(_SIGN_OF_LIFE, watch.sign_of_life, clock=steady)
-        node.create_timer(1.0, self._every_second, clock=steady)
+        node.create_timer(_SECOND, self._every_second, clock=steady)
         self._publish_state()
         self._link.start()
 
@@ -187,6 +193,8 @@ class Supervisor:
         for part in parts.order:
             part.on_sample(snapshot)
         self._publish_state()
+        if time.monotonic() - self._second > _TIMER_STOPPED:
+            self._every_second()
 
     # ---- publications
     def _publish_state(self) -> None:
@@ -200,6 +208,7 @@ class Supervisor:
     def _every_second(self) -> None:
         if self._ended:
             return  # the timer was already due at the end
+        self._second = time.monotonic()
         parts, health, snapshot = self.parts, self._health, self._snapshot
         callbacks = self._watch.report()
         if callbacks.pause_last > HANG:

@@ -84,6 +84,20 @@ def test_backlog_is_few_snapshots_without_a_loss(rig: Rig) -> None:
     assert len(rig.messages[topics.JOINT_STATES]) <= 110  # of the last 0.1 s
 
 
+def test_diagnostics_come_with_the_samples_when_the_timers_stand_still(rig: Rig) -> None:
+    """As after the system clock was set back, with a ROS built for an old C library."""
+    rig.connect()
+    for timer in rig.bridge.timers:
+        timer.cancel()
+    before = len(rig.messages[topics.DIAGNOSTICS])
+
+    def renewed() -> bool:
+        rig.link.sample()
+        return len(rig.messages[topics.DIAGNOSTICS]) > before + 1
+
+    rig.until(renewed)
+
+
 def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
     rig.connect()
     for _ in range(100):
