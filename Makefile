@@ -55,6 +55,8 @@ PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo
 TESTS := test test-simulated test-realtime
 C_CORE := $(wildcard $(foreach folder,math control sensing diagnosis drive app comm config,firmware/$(folder)/*.c))
 C_MODELS := $(wildcard servo_twin/native/arm/*.c servo_twin/native/chip/*.c servo_twin/native/stm32f405/*.c servo_twin/native/plant/*.c)
+# The start-up is assembly in part; the drivers of the DSC need its compiler.
+C_PORT := $(filter-out %/startup.c,$(wildcard firmware/port/stm32f405/*.c))
 C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
@@ -187,6 +189,8 @@ lint: $(VENV)/.dev ## ruff, mypy, clang-format, clang-tidy and cppcheck, changin
 	@status=0; ( status=0; \
 	echo "== clang-format"; $(BIN)/clang-format --dry-run -Werror $(C_FILES) || status=1; \
 	echo "== clang-tidy"; $(BIN)/clang-tidy --quiet $(C_CORE) $(C_MODELS) -- $(C_LINT) -Wshadow 2>$(VENV)/clang-tidy.log || status=1; \
+	$(call generated_for,odrive36,$(VENV)/boards/odrive36) >/dev/null && $(BIN)/clang-tidy --quiet $(C_PORT) -- -iquote $(VENV)/boards/odrive36 -DCHIP_ON_HOST \
+	  $(C_LINT) -Wshadow 2>>$(VENV)/clang-tidy.log || status=1; \
 	echo "== cppcheck"; $(BIN)/cppcheck --quiet --enable=warning,style,performance,portability --error-exitcode=1 \
 	  --suppressions-list=.cppcheck-suppressions $(C_LINT) $(C_CORE) $(filter %/chip/%,$(C_MODELS)) || status=1; \
 	exit $$status ) >$(VENV)/lint-c.log 2>&1 & checks=$$!; \

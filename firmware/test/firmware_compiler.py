@@ -65,11 +65,15 @@ class CompileC:
         self._sanitized = SANITIZED if has_library(self._compiler, "libubsan.so") else ()
         self._loaded: dict[tuple[object, ...], tuple[cffi.FFI, Any]] = {}
 
-    def __call__(self, name: str, sources: Sources, cdef: str, defines: Sequence[str] = ()) -> tuple[cffi.FFI, Any]:
-        key = (name, tuple(map(str, sources)), cdef, tuple(defines))
+    def __call__(
+        self, name: str, sources: Sources, cdef: str, defines: Sequence[str] = (), quoted: Sequence[Path] = ()
+    ) -> tuple[cffi.FFI, Any]:
+        """Build and load; `quoted`: folders of quoted includes before those of the firmware."""
+        key = (name, tuple(map(str, sources)), cdef, tuple(defines), tuple(quoted))
         if key not in self._loaded:
             extra = os.environ.get("FIRMWARE_CFLAGS", "").split()  # coverage, for example
             options = ["-O1", "-g", "-fPIC", *self._sanitized, *extra, *defined(defines)]
+            options += [f"-iquote{folder}" for folder in quoted]
             output = self._folder / f"lib{name}_{len(self._loaded)}.so"
             objects = compile_objects(output.with_suffix(""), sources, options, self._compiler)
             path = run_compiler(output, objects, [*options, "-shared"], self._compiler)

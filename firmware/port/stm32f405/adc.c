@@ -30,7 +30,7 @@ bool adc_init(hal_t *hal)
     REG_WRITE(hal, ADC3_BASE + ADC_JSQR, SET_ADC_JSQR(CHANNEL_M1_C, CHANNEL_M2_C));
     REG_WRITE(hal, ADC3_BASE + ADC_SQR1, SET_ADC_SQR1_TWO);
     REG_WRITE(hal, ADC3_BASE + ADC_SQR3, SET_ADC_SQR3(CHANNEL_M2_C, CHANNEL_M1_C));
-    pause(hal, CLOCKS_OF_US(START_US));
+    wait_clocks(hal, CLOCKS_OF_US(START_US));
     for (uint16_t i = 0; i < sizeof bases / sizeof bases[0]; i++) {
         if ((REG_READ(hal, bases[i] + ADC_CR2) & ADC_CR2_ADON) == 0U) {
             return false;

@@ -30,7 +30,7 @@ void hal_brake_resistor(hal_t *hal, bool on)
     hal->braking = on;
     write(hal, TIM_CCR4, BRAKE_NEVER_HIGH);
     write(hal, TIM_CCR3, 0U);
-    pause(hal, CLOCKS_OF_NS(BRAKE_DEAD_NS));
+    wait_clocks(hal, CLOCKS_OF_NS(BRAKE_DEAD_NS));
     if (on) {
         write(hal, TIM_CCR4, BRAKE_HIGH_FROM);
         write(hal, TIM_CCR3, BRAKE_LOW_BELOW);

@@ -13,7 +13,7 @@ bool wait_for(hal_t *hal, uint32_t address, uint32_t mask, uint32_t value)
     return false;
 }
 
-void pause(hal_t *hal, uint32_t duration)
+void wait_clocks(hal_t *hal, uint32_t duration)
 {
     const uint32_t from = clocks(hal);
     while (clocks(hal) - from < duration) {

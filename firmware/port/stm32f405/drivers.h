@@ -17,7 +17,7 @@ bool wait_for(hal_t *hal, uint32_t address, uint32_t mask, uint32_t value);
 static inline uint32_t clocks(hal_t *hal) { return REG_READ(hal, DWT_BASE + DWT_CYCCNT); }
 
 /* Core clocks that pass, at least. */
-void pause(hal_t *hal, uint32_t duration);
+void wait_clocks(hal_t *hal, uint32_t duration);
 
 bool clock_init(hal_t *hal);
 void watchdog_start(hal_t *hal);

@@ -14,7 +14,7 @@ static uint32_t frame(hal_t *hal, uint16_t driver, uint32_t word)
     const uint32_t answer = REG_READ(hal, SPI(SPI_DR));
     (void)wait_for(hal, SPI(SPI_SR), SPI_SR_BSY, 0U);
     set_pin(hal, PORT_C, PIN_SELECT(driver), true);
-    pause(hal, CLOCKS_OF_NS(SPI_PAUSE_NS));
+    wait_clocks(hal, CLOCKS_OF_NS(SPI_PAUSE_NS));
     return answer;
 }
 
@@ -44,7 +44,7 @@ static bool set_up(hal_t *hal)
         }
         (void)frame(hal, driver, DRV_WRITE(DRV_CONTROL_2, SET_DRV_CONTROL_2));
     }
-    pause(hal, CLOCKS_OF_US(GATE_SETTLE_US));
+    wait_clocks(hal, CLOCKS_OF_US(GATE_SETTLE_US));
     bool fine = true;
     for (uint16_t driver = 0; driver < HAL_AXES; driver++) {
         fine = as_set(hal, driver) && fine;
@@ -57,7 +57,7 @@ static bool set_up(hal_t *hal)
 static void enable_again(hal_t *hal)
 {
     set_pin(hal, PORT_B, PIN_EN_GATE, false);
-    pause(hal, CLOCKS_OF_US(GATE_OFF_US));
+    wait_clocks(hal, CLOCKS_OF_US(GATE_OFF_US));
     set_pin(hal, PORT_B, PIN_EN_GATE, true);
     hal->gate_checked = clocks(hal);
 }
@@ -79,7 +79,7 @@ void gate_start(hal_t *hal)
     REG_WRITE(hal, SPI(SPI_CR1), SET_SPI_CR1);
     hal->gate = GATE_FAILED;
     enable_again(hal);
-    pause(hal, CLOCKS_OF_US(GATE_START_US));
+    wait_clocks(hal, CLOCKS_OF_US(GATE_START_US));
     try_start(hal);
     REG_WRITE(hal, EXTI_BASE + EXTI_PR, EXTI_PR_PR(PIN_FAULT)); /* edges of the start */
 }

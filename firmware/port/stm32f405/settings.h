@@ -53,7 +53,7 @@
 
 #define SETTINGS_CHECK(what, true_condition) typedef char check_##what[(true_condition) ? 1 : -1]
 
-#define CLOCKS_OF_NS(ns) (((ns) * (CORE_CLOCK_HZ / 1000000U) + 500U) / 1000U)
+#define CLOCKS_OF_NS(ns) ((uint32_t)(((ns) * (CORE_CLOCK_HZ / 1000000U) + 500U) / 1000U))
 #define CLOCKS_OF_US(us) ((us) * (CORE_CLOCK_HZ / 1000000U))
 
 /* ---- clock: crystal / M x N / P ---------------------------------------------------------------------------------- */
@@ -88,7 +88,7 @@ SETTINGS_CHECK(adc_clock_within_the_chips_limit, ADC_CLOCK_HZ <= 36000000U);
 
 /* ---- inverters: count 0 .. PWM_TOP .. 0; a pulse of `width` clocks either side of the high-side centre -------------- */
 
-#define PWM_TOP (CORE_CLOCK_HZ / (2U * BOARD_PWM_FREQUENCY_HZ))
+#define PWM_TOP ((uint32_t)(CORE_CLOCK_HZ / (2U * BOARD_PWM_FREQUENCY_HZ)))
 #define PWM_PERIOD (2U * PWM_TOP)
 #define DEAD_CLOCKS CLOCKS_OF_NS(BOARD_DEAD_TIME_NS)
 /* Without a pulse the low side stays on: a pulse shorter than the dead time would only open it. */

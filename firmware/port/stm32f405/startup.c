@@ -70,8 +70,8 @@ BOOT void image_reset(void)
     static void isr_##handler(void) { handler(&hal); }
 PORT_VECTORS(HANDLER)
 
-/* An exception of the core, the failure of the crystal among them, or an interrupt that was not enabled: the switches
- * open, and the watchdog resets the board. */
+/* An exception of the core, the failure of the crystal among them: the switches open, and the watchdog resets the board.
+ * An interrupt that is not in the table ends here as a fault of the core. */
 static void unexpected(void)
 {
     REG_WRITE(&hal, TIM1_BASE + TIM_BDTR, SET_PWM_BDTR_OFF);
