@@ -451,3 +451,16 @@ def test_every_test_is_collected_by_the_pytest_of_ubuntu(pytest_of_ubuntu: dict[
     found = COLLECTED.search(listing.stdout)
     assert found is not None
     assert int(found[1]) > 1000
+
+
+def test_the_board_is_linked_with_any_folder_of_temporary_files(tmp_path: Path) -> None:
+    """A makefile that gcc writes there for -flto=auto has its name without quotes."""
+    (folder := tmp_path / "it's a folder").mkdir()
+    (tmp_path / "one.c").write_text("int other(void);\nint main(void) { return other(); }\n")
+    (tmp_path / "other.c").write_text("int other(void) { return 0; }\n")
+    code = (
+        "import subprocess; from servo_twin._build_native import COMPILER, OPTIONS; "
+        "raise SystemExit(subprocess.run([*COMPILER, *OPTIONS, 'one.c', 'other.c', '-o', 'program']).returncode)"
+    )
+    environment = {**clean_environment(), "TMPDIR": str(folder)}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)

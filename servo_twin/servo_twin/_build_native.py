@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import sysconfig
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -35,8 +36,10 @@ PORT = FIRMWARE / "port" / "mc56f84789"
 # -ffp-contract=off: identical results on every processor. -fno-math-errno and -fno-trapping-math do not change results.
 # -fno-tree-vectorize (below): vectors of two doubles are slower in this code, a chain of dependent operations.
 _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
+# gcc optimizes on several cores with a makefile, in which it does not quote the folder of temporary files.
+_LINKING = "-flto=auto" if re.fullmatch(r"[\w@%+,./-]*", tempfile.gettempdir(), re.ASCII) else "-flto"
 # -O3 of gcc is 5 % slower.
-OPTIONS = ("-std=c99", "-O2", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", "-flto=auto")
+OPTIONS = ("-std=c99", "-O2", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", _LINKING)
 
 COMPILER = sysconfig.get_config_var("CC").split()
 """Compiler of the extension modules."""
