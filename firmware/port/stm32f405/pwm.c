@@ -65,11 +65,12 @@ static void write_pulse(hal_t *hal, uint16_t axis, uint32_t compare, uint32_t ha
 void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c)
 {
     const uint32_t base = hal->axis[axis].pwm;
-    REG_WRITE(hal, base + TIM_CR1, SET_PWM_CR1 | TIM_CR1_CEN | TIM_CR1_UDIS);
+    const uint32_t counts = REG_READ(hal, base + TIM_CR1) & TIM_CR1_CEN; /* not before pwm_run */
+    REG_WRITE(hal, base + TIM_CR1, SET_PWM_CR1 | counts | TIM_CR1_UDIS);
     write_pulse(hal, axis, TIM_CCR1, half_pulse(duty_a, PWM_TOP));
     write_pulse(hal, axis, TIM_CCR2, half_pulse(duty_b, PULSE_MAX_SAMPLED));
     write_pulse(hal, axis, TIM_CCR3, half_pulse(duty_c, PULSE_MAX_SAMPLED));
-    REG_WRITE(hal, base + TIM_CR1, SET_PWM_CR1 | TIM_CR1_CEN);
+    REG_WRITE(hal, base + TIM_CR1, SET_PWM_CR1 | counts);
     const bool down = (REG_READ(hal, base + TIM_CR1) & TIM_CR1_DIR) != 0U;
     hal->axis[axis].behind = down != (axis == M1);
 }

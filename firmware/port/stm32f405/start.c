@@ -27,7 +27,9 @@ static void state_init(hal_t *hal, servo_t *servo)
     hal->running = false;
 }
 
+/* A request that came and went during the start, as that of the gate drivers' fault line, is still pending. */
 #define ENABLE(number, priority, handler)                                                                              \
+    REG_WRITE(hal, NVIC_BASE + NVIC_ICPR(number), NVIC_IRQ(number));                                                   \
     REG_WRITE(hal, NVIC_BASE + NVIC_IPR(number),                                                                       \
               (REG_READ(hal, NVIC_BASE + NVIC_IPR(number)) & ~NVIC_IPR_IPR(number, 0xFFU)) |                           \
                   NVIC_IPR_IPR(number, (priority) << (8U - NVIC_PRIORITY_BITS)));                                      \
