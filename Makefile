@@ -41,7 +41,8 @@ UBUNTU_PYTEST := $(VENV)/pytest-7.4
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 22 * 4 + 10 )))
 
 NATIVE := $(shell find firmware servo_twin/native -name '*.[ch]') servo_twin/setup.py \
-          $(wildcard servo_twin/servo_twin/_*.py servo_twin/servo_twin/core_weights.toml)
+          $(wildcard servo_twin/servo_twin/_*.py servo_twin/servo_twin/core_weights.toml firmware/config/*.toml \
+            servo_msgs_py/servo_msgs_py/boards/*.toml)
 METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
               pyproject.toml setup.py setup.cfg package.xml resource/* scripts/* config/* launch/*)))
 # For processors that know AVX2, like the one at hand: 7 % fewer instructions, the same bits (hence without FMA). ARCH= for any
@@ -49,7 +50,7 @@ METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
 ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64-v3 .supported' && \
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
 # The compiled virtual boards, a stamp for each level.
-BOARDS := $(VENV)/.ideal $(VENV)/.registers
+BOARDS := $(VENV)/.ideal $(VENV)/.registers $(VENV)/.odrive36
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
 TESTS := test test-simulated test-realtime
@@ -274,6 +275,7 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 
 $(VENV)/.ideal: MODULE := ffi
 $(VENV)/.registers: MODULE := registers_ffi
+$(VENV)/.odrive36: MODULE := odrive36_ffi
 $(BOARDS): $(VENV)/.created $(NATIVE)
 	@echo "      compiling firmware and virtual board, level $(patsubst .%,%,$(@F))"
 	@cd servo_twin && SERVO_TWIN_MODULES=$(MODULE) SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet \

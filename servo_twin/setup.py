@@ -10,7 +10,7 @@ SHARE = f"share/{PACKAGE}"
 
 # Levels of the virtual board that are compiled, as functions of the build script. `make` compiles each by itself, while
 # the packages are installed.
-MODULES = os.environ.get("SERVO_TWIN_MODULES", "ffi registers_ffi").split()
+MODULES = os.environ.get("SERVO_TWIN_MODULES", "ffi registers_ffi odrive36_ffi").split()
 
 setup(
     name=PACKAGE,

@@ -106,7 +106,7 @@ static void show_contacts(board_t *board, int axis)
     const unsigned changed = closed ^ board->closed[axis];
     board->closed[axis] = closed;
     for (unsigned pin = 0; changed != 0u && pin < BOARD_CONTACTS; pin++) {
-        if ((changed >> pin & 1u) != 0u) {
+        if ((changed >> pin & 1u) != 0u && board_wiring.contact[axis][pin] != BOARD_NO_PIN) {
             chip_pin(&board->chip, board_wiring.contact[axis][pin], (closed >> pin & 1u) == 0u);
         }
     }
@@ -137,8 +137,8 @@ static void outputs_changed(void *self)
         switching_brake_resistor(&board->plant, on);
     }
     for (int axis = 0; axis < BOARD_AXES; axis++) {
-        plant_pins_power(&board->pins[axis], chip_pin_level(&board->chip, board_wiring.holding[axis]),
-                         seconds_of(board));
+        const unsigned coil = board_wiring.holding[axis];
+        plant_pins_power(&board->pins[axis], chip_pin_level(&board->chip, coil), seconds_of(board));
     }
 }
 
@@ -244,12 +244,12 @@ board_t *board_new(const board_config_t *config)
                        program_load(&board->program, &board_program_chip, &board->chip, &board->chip.BOARD_BUS, &hooks,
                                     config->elf, config->elf_size, (config->servo != NULL) ? &board->config : NULL,
                                     (uint32_t)(board->baud + 0.5)));
+        board_program_loaded(board);
     }
     return board;
 }
 
 #define START_MAX 100000u /* clocks within which the sequence starts after the boot */
-#define BOOT_MAX 2000000u /* of a program, with the boot */
 
 static void run_chip(board_t *board, uint64_t until)
 {
@@ -269,7 +269,7 @@ static void boot_once(board_t *board)
     }
     board->booted = true;
     board->starting = board->program.loaded;
-    run_chip(board, board->program.loaded ? BOOT_MAX : 0u);
+    run_chip(board, board->program.loaded ? board_wiring.boot_clocks : 0u);
     if (!board->program.loaded) {
         board->starting = true;
         run_chip(board, board->chip.BOARD_BUS.now + START_MAX);

@@ -47,6 +47,7 @@ typedef struct {
     unsigned brake_resistor, holding[BOARD_AXES]; /* outputs, on with a high level */
     unsigned vector_m1, vector_m2; /* of the fast loops */
     unsigned vector_start; /* whose first end starts the sequence of both loops */
+    uint32_t boot_clocks; /* of a program, at most */
 } board_wiring_t;
 
 extern const board_wiring_t board_wiring;
@@ -71,6 +72,9 @@ void board_restored_linked(board_t *board);
 
 /* The output of an axis' over-current comparator has changed. */
 void board_over_current(board_t *board, int axis, bool tripped);
+
+/* A program has been loaded. */
+void board_program_loaded(board_t *board);
 
 /* Clock of time zero, after the start of the sequence. */
 uint64_t board_time_zero(const board_t *board);

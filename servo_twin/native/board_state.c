@@ -27,8 +27,8 @@ static uint64_t build_identity(const board_t *board)
 {
     uint64_t build = board_layout.build ^ board_program_identity(board);
     build = (build ^ distance((uintptr_t)&board_layout)) * PRIME;
-    build = (build ^ distance((uintptr_t)servo_init)) * PRIME;
-    return (build ^ distance((uintptr_t)servo_read)) * PRIME;
+    build = (build ^ distance((uintptr_t)board_servo_config)) * PRIME;
+    return (build ^ distance((uintptr_t)board_save)) * PRIME;
 }
 
 static uint64_t check_sum(const uint8_t *data, size_t size)

@@ -9,7 +9,8 @@
 
 #define DATA_BASE 0x60000000u /* of a call: bytes of the host */
 
-enum { REGION_FLASH, REGION_RAM, REGION_DATA_RAM, REGION_DATA, REGIONS };
+/* The program is where most instructions run: the flash, or RAM. The flash is behind the RAMs then. */
+enum { REGION_PROGRAM, REGION_RAM, REGION_RAM_2, REGION_BOOT, REGION_DATA, REGIONS };
 enum { LAYOUT_SNAPSHOT, LAYOUT_SNAPSHOT_SIZE, LAYOUT_WINDING, LAYOUT_WORDS = LAYOUT_WINDING + 2 };
 
 /* ---- time ----------------------------------------------------------------------------------------------------------- */
@@ -57,10 +58,15 @@ static int32_t cycles_until(uint64_t from, uint64_t clock)
 /* Time that instructions have taken, from their cycles. */
 static uint64_t taken(const program_t *program, uint32_t cycles) { return program->timeless ? 0u : cycles; }
 
+static const arm_region_t *flash_of(const program_t *program)
+{
+    return &program->arm.region[(program->kind->code_ram.size > 0u) ? REGION_BOOT : REGION_PROGRAM];
+}
+
 /* Before an access: what happens up to the clock at which its instruction begins. */
 static void before_access(program_t *program)
 {
-    if (program->calling) {
+    if (program->calling || program->arm.op == NULL) { /* by a debugger, or out of reset */
         return;
     }
     if (program->timeless && program->arm.state.primask != 0u) { /* the boot, as that of the linked firmware */
@@ -73,8 +79,15 @@ static void before_access(program_t *program)
 static void after_access(program_t *program)
 {
     arm_state_t *state = &program->arm.state;
-    if (program->calling) {
+    bus_t *bus = program->bus;
+    const uint64_t stall = bus->stall, program_stall = bus->flash_stall;
+    bus->stall = bus->flash_stall = 0;
+    if (program->calling || program->arm.op == NULL) {
         return;
+    }
+    program->clock += stall;
+    if (program_stall > stall && arm_running_in(&program->arm) == flash_of(program)) {
+        program->clock += program_stall - stall;
     }
     update_requests(program);
     if (state->changed != 0u) {
@@ -114,7 +127,15 @@ static bool no_breakpoint(void *self, unsigned comment)
     return false;
 }
 
-static void reset_by_software(void *self) { arm_fail(&program_of(self)->arm, "a reset by AIRCR is not modelled"); }
+static void reset_by_software(void *self)
+{
+    program_t *program = program_of(self);
+    if (program->kind->reset == NULL) {
+        arm_fail(&program->arm, "a reset by AIRCR is not modelled");
+    } else {
+        program->kind->reset(program->chip);
+    }
+}
 
 static void handler_begins(void *self, unsigned interrupt)
 {
@@ -193,22 +214,33 @@ void program_run(program_t *program, uint64_t until)
         }
         run_core(program);
     }
-    program->kind->catch_up(program->chip);
+    if (program->kind->catch_up != NULL) {
+        program->kind->catch_up(program->chip);
+    }
 }
 
 /* ---- memory --------------------------------------------------------------------------------------------------------- */
 
-/* Place of `size` bytes in the memory of the program, or NULL. */
+static uint8_t *place_in(const arm_region_t *memory, uint32_t address, size_t size)
+{
+    const uint32_t at = address - memory->base;
+    return (at < memory->size && memory->size - at >= size) ? memory->bytes + at : NULL;
+}
+
+uint8_t *program_memory(program_t *program, uint32_t address, size_t size)
+{
+    uint8_t *found = NULL;
+    for (unsigned k = 0; program->loaded && k < REGION_DATA && found == NULL; k++) {
+        found = place_in(&program->arm.region[k], address, size);
+    }
+    return found;
+}
+
+/* Place of `size` bytes in the RAM of the program, or NULL. */
 static const uint8_t *place(const program_t *program, uint32_t address, size_t size)
 {
-    for (unsigned k = REGION_RAM; k <= REGION_DATA_RAM; k++) {
-        const arm_region_t *memory = &program->arm.region[k];
-        const uint32_t at = address - memory->base;
-        if (at < memory->size && memory->size - at >= size) {
-            return memory->bytes + at;
-        }
-    }
-    return NULL;
+    const uint8_t *found = place_in(&program->arm.region[REGION_RAM], address, size);
+    return (found != NULL) ? found : place_in(&program->arm.region[REGION_RAM_2], address, size);
 }
 
 /* ---- calls ---------------------------------------------------------------------------------------------------------- */
@@ -223,7 +255,7 @@ static uint8_t call(program_t *program, uint32_t function, uint32_t address, uin
     jmp_buf within;
     volatile uint8_t result = FM_BUSY;
     memcpy(&within, &bus->escape, sizeof within);
-    arm->region[REGION_DATA] = (arm_region_t){DATA_BASE, size, data, true};
+    arm->region[REGION_DATA] = (arm_region_t){.base = DATA_BASE, .size = size, .bytes = data, .writable = true};
     program->calling = true;
     if (!bus->failed && setjmp(bus->escape) == 0) {
         bus->polls = 0;
@@ -239,7 +271,7 @@ static uint8_t call(program_t *program, uint32_t function, uint32_t address, uin
         result = (uint8_t)state->r[0];
     }
     program->calling = false;
-    arm->region[REGION_DATA] = (arm_region_t){DATA_BASE, 0, NULL, false};
+    arm->region[REGION_DATA] = (arm_region_t){.base = DATA_BASE};
     *state = before;
     memcpy(&bus->escape, &within, sizeof within);
     return result;
@@ -288,12 +320,11 @@ static bool find_symbol(const elf_t *elf, const char *name, uint32_t size, uint3
     return elf_symbol(elf, name, address, &found) && (size == 0u || found == size);
 }
 
-/* Place of `size` bytes of the program, or NULL. */
-static uint8_t *in_flash(const program_t *program, uint32_t address, size_t size)
+/* Place in the flash of `size` bytes of the program that the program has at this address, or NULL. */
+static uint8_t *in_flash(const program_t *program, const elf_t *elf, uint32_t address, size_t size)
 {
-    const arm_region_t *flash = &program->arm.region[REGION_FLASH];
-    const uint32_t at = address - flash->base;
-    return (at < flash->size && flash->size - at >= size) ? flash->bytes + at : NULL;
+    uint32_t load;
+    return elf_load_address(elf, address, &load) ? place_in(flash_of(program), load, size) : NULL;
 }
 
 /* Addresses of what the board reads, and the constants that it sets. */
@@ -307,8 +338,9 @@ static bool find_symbols(program_t *program, const elf_t *elf, const servo_confi
         !find_symbol(elf, "image_baud", sizeof baud, &baud_at)) {
         return false;
     }
-    const uint8_t *numbers = in_flash(program, layout_at, sizeof layout);
-    uint8_t *settings = in_flash(program, config_at, sizeof *config), *rate = in_flash(program, baud_at, sizeof baud);
+    const uint8_t *numbers = in_flash(program, elf, layout_at, sizeof layout);
+    uint8_t *settings = in_flash(program, elf, config_at, sizeof *config),
+            *rate = in_flash(program, elf, baud_at, sizeof baud);
     if (numbers == NULL || settings == NULL || rate == NULL) {
         return false;
     }
@@ -357,36 +389,51 @@ const char *program_load(program_t *program, const program_chip_t *kind, void *c
     if (problem != NULL) {
         return problem;
     }
-    arm_region_t regions[REGIONS] = {
-        {kind->flash.base, elf_extent(&file, kind->flash.base, kind->flash.size), NULL, false},
-        {kind->ram.base, kind->ram.size, program->ram, true},
-        {kind->data_ram.base, kind->data_ram.size, program->ram + kind->ram.size, true},
-        {DATA_BASE, 0, NULL, false},
+    const bool copied = kind->code_ram.size > 0u;
+    const unsigned flash = copied ? REGION_BOOT : REGION_PROGRAM;
+    arm_region_t regions[REGIONS] = {[REGION_DATA] = {.base = DATA_BASE}};
+    uint8_t *ram = program->ram;
+    for (unsigned k = 0; k < PROGRAM_RAMS; k++) {
+        regions[REGION_RAM + k] =
+            (arm_region_t){.base = kind->ram[k].base, .size = kind->ram[k].size, .bytes = ram, .writable = true};
+        ram += kind->ram[k].size;
+    }
+    if (copied) {
+        regions[REGION_PROGRAM] =
+            (arm_region_t){.base = kind->code_ram.base, .size = kind->code_ram.size, .bytes = ram, .writable = true};
+        ram += kind->code_ram.size;
+    }
+    regions[flash] = (arm_region_t){
+        .base = kind->flash.base,
+        .size = elf_extent(&file, kind->flash.base, kind->flash.size),
+        .executable = copied,
+        .slow = kind->flash_is_slow,
     };
-    regions[REGION_FLASH].bytes = (uint8_t *)calloc(regions[REGION_FLASH].size + 1u, 1);
-    if (regions[REGION_FLASH].bytes == NULL || !arm_init(&program->arm, regions, REGIONS, &owner, program)) {
-        free(regions[REGION_FLASH].bytes);
+    regions[flash].bytes = (uint8_t *)calloc(regions[flash].size + 1u, 1);
+    if (regions[flash].bytes == NULL || !arm_init(&program->arm, regions, REGIONS, &owner, program)) {
+        free(regions[flash].bytes);
         return "no memory for the program";
     }
+    program->arm.boot = kind->flash.base;
     program->kind = kind;
     program->chip = chip;
     program->bus = bus;
     program->hooks = hooks;
-    program->ram_used = kind->ram.size + kind->data_ram.size;
+    program->ram_used = (size_t)(ram - program->ram);
     program->loaded = true;
-    problem = elf_load(&file, &program->arm.region[REGION_FLASH]);
+    problem = elf_load(&file, flash_of(program));
     if (problem == NULL && !find_symbols(program, &file, config, baud)) {
         problem = wrong_program(program->arm.error, sizeof program->arm.error, kind);
     }
-    program->identity = identity_of(&program->arm.region[REGION_FLASH]);
+    program->identity = identity_of(flash_of(program));
     return problem;
 }
 
 void program_free(program_t *program)
 {
     if (program->loaded) {
+        free(flash_of(program)->bytes);
         arm_free(&program->arm);
-        free(program->arm.region[REGION_FLASH].bytes);
         program->loaded = false;
     }
 }

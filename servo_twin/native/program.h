@@ -11,6 +11,7 @@
 #include "chip/bus.h"
 
 #define PROGRAM_RAM 0x30000u /* bytes, of all memories of a chip at most */
+#define PROGRAM_RAMS 2u
 
 typedef struct {
     uint32_t base, size; /* [bytes] */
@@ -19,11 +20,16 @@ typedef struct {
 /* A chip, apart from its core. */
 typedef struct {
     const char *port; /* folder of the port whose programs it executes */
-    program_memory_t flash, ram, data_ram; /* data_ram: RAM from which nothing is executed; size 0: none */
+    program_memory_t flash; /* with the vector table out of reset */
+    program_memory_t ram[PROGRAM_RAMS]; /* the first has data; sizes of 0 behind the last one */
+    program_memory_t
+        code_ram; /* most instructions run here, copied from the flash by the program; size 0: in the flash */
+    bool flash_is_slow; /* data in the flash is read through `read` */
     /* Access to a register; false: there is none of this size. */
     bool (*read)(void *chip, uint32_t address, unsigned size, uint32_t *value);
     bool (*write)(void *chip, uint32_t address, unsigned size, uint32_t value);
-    void (*catch_up)(void *chip); /* at the end of a run */
+    void (*catch_up)(void *chip); /* at the end of a run; NULL: nothing to do */
+    void (*reset)(void *chip); /* by software; NULL: not modelled */
 } program_chip_t;
 
 /* The handler of a vector begins, or has ended; the result are clocks by which it takes longer. */
@@ -46,7 +52,7 @@ typedef struct program {
     uint64_t next;     /* clock before which nothing happens; 0: unknown */
     uint32_t servo, snapshot, winding[2], read, write; /* addresses in the program */
     size_t ram_first, ram_used; /* 0, bytes of the chip; without a program 0 */
-    uint8_t ram[PROGRAM_RAM]; /* `ram` of the chip, then `data_ram` */
+    uint8_t ram[PROGRAM_RAM]; /* the memories of the chip, one behind the other */
 } program_t;
 
 /* Load an ELF file of the port of this chip. NULL, or why it is refused. `config`: NULL for that of the file. */
@@ -61,6 +67,9 @@ void program_run(program_t *program, uint64_t until);
 /* servo_read and servo_write of the program. */
 uint8_t program_read(program_t *program, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data, uint16_t size);
+
+/* Place of `size` bytes of its flash or RAM, or NULL. */
+uint8_t *program_memory(program_t *program, uint32_t address, size_t size);
 
 /* The telemetry snapshot of the program. */
 const uint8_t *program_snapshot(const program_t *program);

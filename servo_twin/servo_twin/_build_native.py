@@ -119,6 +119,7 @@ def make_ffi(
     options: Sequence[str] = (),
     sources: Sequence[Path] | None = None,
     include: Sequence[Path] = (),
+    link: Sequence[str] = (),
 ) -> FFI:
     """Build description of one extension module; `sources` replaces those of the firmware, `include` adds folders.
 
@@ -128,10 +129,10 @@ def make_ffi(
     compiled = [*OPTIONS, *WARNINGS, *options, *EXTRA]
     pointers = write_pointers(
         native[0],
-        [NATIVE, FIRMWARE, *include],
+        [*include, NATIVE, FIRMWARE],
         options,
         build_identity([*files, *headers], compiled),
-        PACKAGE / "build" / "pointers" / native[0].stem,
+        PACKAGE / "build" / "pointers" / module,
     )
     builder = FFI()
     for header in (NATIVE / "chip" / "trace.h", NATIVE / "board.h"):
@@ -140,11 +141,11 @@ def make_ffi(
         module,
         _PREAMBLE,
         sources=_relative(files),
-        include_dirs=_relative([NATIVE, FIRMWARE, *include, pointers.parent]),
+        include_dirs=_relative([*include, NATIVE, FIRMWARE, pointers.parent]),
         depends=_relative([*headers, pointers]),
         libraries=["m"],
         extra_compile_args=[*compiled, f"-isystem{sysconfig.get_paths()['include']}"],
-        extra_link_args=EXTRA,
+        extra_link_args=[*EXTRA, *link],
     )
     return builder
 
@@ -162,6 +163,46 @@ def charged_sources() -> list[Path]:
     """Sources of firmware and port with execution times for the virtual core."""
     return write_charged(
         [*firmware_sources(), *sorted(PORT.glob("*.c"))], FIRMWARE, _ON_HOST, PACKAGE / "build" / "charged"
+    )
+
+
+def generated_for(board: str, folder: Path) -> Path:
+    """Write the generated files of the firmware for another board into a folder, which is returned."""
+    environment = {**os.environ, "SERVO_BOARD": board, "PYTHONPATH": str(PACKAGE.parent / "servo_msgs_py")}
+    config = FIRMWARE / "config"
+    source = folder / "config" / "servo_config_gen.c"
+    commands: list[list[str | Path]] = [
+        ["-m", "servo_msgs_py.codegen", "--output", folder],
+        [config / "tune.py", "generate", "--config", config / f"{board}.toml", "--output", source],
+    ]
+    for command in commands:
+        subprocess.run([sys.executable, *command], env=environment, check=True)
+    return folder
+
+
+_ODRIVE36 = NATIVE / "boards" / "odrive36"
+
+
+def odrive36_ffi() -> FFI:
+    """``servo_twin._odrive36``: the board ODrive v3.6, whose software is a program.
+
+    The firmware is compiled for its tables; the linker leaves out its functions, which need drivers.
+    """
+    generated = generated_for("odrive36", PACKAGE / "build" / "generated" / "odrive36")
+    others = sorted(generated.rglob("*.c"))
+    replaced = {FIRMWARE / path.relative_to(generated) for path in others}
+    files = [
+        *(NATIVE / "board_registers.c", NATIVE / "program.c", NATIVE / "serial_line.c", _ODRIVE36 / "board_chip.c"),
+        *(NATIVE / "chip" / name for name in ("bus.c", "names.c")),
+        *(path for folder in ("arm", "stm32f405") for path in sorted((NATIVE / folder).glob("*.c"))),
+    ]
+    return make_ffi(
+        "servo_twin._odrive36",
+        files,
+        ["-DBOARD_ODRIVE36", "-ffunction-sections", "-fdata-sections"],
+        [*(path for path in firmware_sources() if path not in replaced), *others],
+        [generated, _ODRIVE36],
+        ["-Wl,--gc-sections"],
     )
 
 

@@ -12,9 +12,11 @@ long calls release the GIL.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
@@ -74,10 +76,30 @@ FIRMWARE: Final[Mapping[str, Firmware]] = {
     "registers": Firmware(_registers_module.ffi, _registers_module.lib, _registers_module.__file__),
     "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib, _ideal_module.__file__),
 }
-"""Build of this checkout by level."""
+"""Build of this checkout by level, for the default board."""
 
-FLASH_BYTES: Final = int(_ideal_module.lib.board_flash_size())
-"""Size of `Board.flash_image`."""
+_OTHER_BOARDS: Final = {"odrive36": "servo_twin._odrive36"}
+"""Compiled modules of other boards: at level registers, with the firmware of an ELF file."""
+
+
+@cache
+def _build_of(board: str, level: Level) -> Firmware:
+    if board == DEFAULT_BOARD:
+        return FIRMWARE[level]
+    if board not in _OTHER_BOARDS:
+        raise BoardError(
+            f"there is no firmware and no model of the board {board} yet; "
+            f"known are {', '.join((DEFAULT_BOARD, *_OTHER_BOARDS))}"
+        )
+    if level != "registers":
+        raise BoardError(f"the board {board} has a model at level registers only")
+    module = importlib.import_module(_OTHER_BOARDS[board])
+    return Firmware(module.ffi, module.lib, str(module.__file__))
+
+
+def flash_bytes(board: str = DEFAULT_BOARD) -> int:
+    """Size of `Board.flash_image`."""
+    return int(_build_of(board, "registers").lib.board_flash_size())
 
 
 def firmware_of(path: Path) -> Firmware:
@@ -200,23 +222,25 @@ class Board:
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
         self.level = chosen_level(level)
-        self.firmware = firmware or FIRMWARE[self.level]
+        self.catalogue = catalogue or Catalogue.load()
+        board = self.catalogue.board.name
+        self.firmware = firmware or _build_of(board, self.level)
+        if elf is None and board != DEFAULT_BOARD:
+            raise BoardError(
+                f"no firmware is linked with the model of the board {board}: "
+                f"give its ELF file (make firmware BOARD={board})"
+            )
         if elf is not None and self.level != "registers":
             raise ValueError("an ELF file runs at level registers only")
         self._elf = elf
         self._ffi, self._lib = self.firmware.ffi, self.firmware.lib
         self.plant = plant or PlantConfig.load()
         self._seed = seed
-        self.catalogue = catalogue or Catalogue.load()
-        if self.catalogue.board.name != DEFAULT_BOARD:
-            raise BoardError(
-                f"there is no firmware and no model of the board {self.catalogue.board.name} yet; "
-                f"the virtual board is {DEFAULT_BOARD}"
-            )
         config = _native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud)
         if flash is not None:
-            if len(flash) != FLASH_BYTES:
-                raise ValueError(f"the flash image has {len(flash)} bytes instead of {FLASH_BYTES}")
+            size = int(self._lib.board_flash_size())
+            if len(flash) != size:
+                raise ValueError(f"the flash image has {len(flash)} bytes instead of {size}")
             config.flash = self._ffi.from_buffer("uint8_t[]", flash)  # board_new copies the image
         if servo is not None:
             native = servo.native(self._ffi)  # kept until board_new has copied it
@@ -589,7 +613,7 @@ class Board:
 
         ``np.frombuffer(image, "<u4")`` has 8192 words and 32 counts.
         """
-        image = bytearray(FLASH_BYTES)
+        image = bytearray(int(self._lib.board_flash_size()))
         self._lib.board_flash_image(self._board, self._ffi.from_buffer("uint8_t[]", image, require_writable=True))
         return bytes(image)
 

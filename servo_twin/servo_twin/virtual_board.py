@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
+from servo_msgs_py.board_description import DEFAULT_BOARD, VARIABLE, BoardDescription, known_boards
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.run_file.run_info import VirtualBoard
 from servo_msgs_py.run_file.virtual_board_file import virtual_board_file, write_virtual_board
@@ -30,7 +31,7 @@ from servo_msgs_py.text_file import TextFileError, read_bytes
 from servo_msgs_py.units import TICK_NS
 
 from servo_msgs_py import argument
-from servo_twin.board import FLASH_BYTES, Board, BoardError, SimulationError
+from servo_twin.board import Board, BoardError, SimulationError, flash_bytes
 from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig
 from servo_twin.robot.command import MODEL_HELP as ROBOT_HELP
@@ -148,10 +149,11 @@ class FlashFile:
             return
         if not path.is_file():
             raise ValueError(f"{path} is not a regular file; choose another name")
+        size = flash_bytes(BoardDescription.load().name)
         with contextlib.suppress(TextFileError):  # too large
-            self._kept = read_bytes(path, FLASH_BYTES)
-        if self._kept is None or len(self._kept) != FLASH_BYTES:
-            raise ValueError(f"{path} is no image of a flash, which has {FLASH_BYTES} bytes; choose another file")
+            self._kept = read_bytes(path, size)
+        if self._kept is None or len(self._kept) != size:
+            raise ValueError(f"{path} is no image of a flash, which has {size} bytes; choose another file")
 
     @property
     def image(self) -> bytes | None:
@@ -396,6 +398,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="execute the firmware of this ELF file (make firmware BOARD=mc56f84789_m4), at level registers",
     )
+    parser.add_argument(
+        "--board",
+        metavar="NAME",
+        help=f"board to be simulated, as ${VARIABLE}: {', '.join(known_boards())}; all but {DEFAULT_BOARD} need --elf",
+    )
     parser.add_argument("--robot", metavar="MODEL", help=ROBOT_HELP)
     add_level_option(parser, "the board is")
     parser.add_argument(
@@ -414,6 +421,8 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Command ``virtual_board``; returns its exit status."""
     options = _parser().parse_args(argv)
+    if options.board is not None:
+        os.environ[VARIABLE] = options.board
     with contextlib.ExitStack() as owned:
         try:
             flash = owned.enter_context(_flash_file(options.flash)) if options.flash else None

@@ -99,7 +99,7 @@ static int rig_write(rig_t *rig, uint32_t address, unsigned size, uint32_t value
     if (reason != 0) {
         return (reason == ESCAPE_FAILURE) ? -1 : 1;
     }
-    rig->chip.soc.stall = 0;
+    rig->chip.soc.bus.flash_stall = 0;
     return chip_store(&rig->chip, address, size, value) ? 0 : -1;
 }
 
@@ -125,7 +125,7 @@ static void rig_pin(rig_t *rig, unsigned pin, bool level) { chip_pin(&rig->chip,
 static bool rig_level(const rig_t *rig, unsigned pin) { return chip_pin_level(&rig->chip, pin); }
 static uint8_t *rig_ram(rig_t *rig) { return rig->ram; }
 static uint8_t *rig_flash(rig_t *rig) { return rig->flash; }
-static uint64_t rig_stall(rig_t *rig) { return rig->chip.soc.stall; }
+static uint64_t rig_stall(rig_t *rig) { return rig->chip.soc.bus.flash_stall; }
 static size_t rig_send(rig_t *rig, const uint8_t *data, size_t size) { return chip_line_write(&rig->chip, data, size); }
 static size_t rig_receive(rig_t *rig, uint8_t *data, size_t room)
 {

@@ -22,7 +22,7 @@
 #endif
 
 #define ARM_INTERRUPTS 128u /* external interrupts */
-#define ARM_REGIONS 4u
+#define ARM_REGIONS 5u
 #define ARM_ERROR_SIZE 160u /* bytes */
 
 enum { ARM_SP = 13, ARM_LR = 14, ARM_NOWHERE = 15 }; /* r15 is the place of `op`; its slot takes results of compares */
@@ -38,12 +38,14 @@ typedef struct {
     uint8_t x, y, z; /* shift, condition, width */
 } arm_op_t;
 
-/* Memory: bytes in little-endian order, as on the host. The first region is the program: it is not written, and nothing else is
- * executed. */
+/* Memory: bytes in little-endian order, as on the host. The first region is the program; another one may be executed, too. An
+ * instruction that has been executed must not be written before the next reset. */
 typedef struct {
     uint32_t base, size;
     uint8_t *bytes;
     bool writable;
+    bool executable; /* beside the first region */
+    bool slow; /* data is read through the owner */
 } arm_region_t;
 
 /* Access to an address outside of the regions and of the system control space. `arm_elapsed` cycles have passed since the owner
@@ -94,7 +96,11 @@ typedef struct {
     arm_state_t state;
     arm_region_t region[ARM_REGIONS];
     arm_op_t *ops; /* 2 * program_words of them; the second half is for conditional instructions */
-    uint32_t program_words; /* half words of the program, and a few behind it */
+    uint32_t program_words; /* half words of both executable regions, and a few behind each */
+    uint32_t first_words; /* those of the first region */
+    unsigned other; /* index of the other executable region; 0: none */
+    uint32_t
+        boot; /* address of the vector table out of reset: the base of the first region, unless the owner sets another one */
     const arm_op_t *op; /* the running instruction */
     const arm_owner_t *owner;
     void *self; /* first argument of the owner's functions */
@@ -106,7 +112,7 @@ typedef struct {
 bool arm_init(arm_t *arm, const arm_region_t *regions, unsigned count, const arm_owner_t *owner, void *self);
 void arm_free(arm_t *arm);
 
-/* Stack pointer and program counter from the vector table at the base of the program. */
+/* Stack pointer and program counter from the vector table out of reset. Programs in writable memory are forgotten. */
 void arm_reset(arm_t *arm);
 
 /* Execute until `left`, which the owner has set together with `given`, is at or below 0. Overrun cycles make `left` negative. */
@@ -116,6 +122,12 @@ static inline uint32_t arm_elapsed(const arm_t *arm) { return (uint32_t)(arm->st
 
 /* The same up to where the present instruction begins; within arm_run. */
 uint32_t arm_begun(const arm_t *arm);
+
+/* The region of the present instruction; within arm_run. */
+const arm_region_t *arm_running_in(const arm_t *arm);
+
+/* Forget the decoded instructions in writable memory: it has been replaced. */
+void arm_forget(arm_t *arm);
 
 static inline void arm_give(arm_t *arm, int32_t cycles) { arm->state.given = arm->state.left = cycles; }
 
@@ -145,6 +157,8 @@ void arm_set_flags(arm_t *arm, uint32_t xpsr);
 #define ARM_CALL_RETURN 0xFF000000u /* no address of the program */
 
 uint32_t arm_address(const arm_t *arm, const arm_op_t *op);
+arm_op_t *arm_slot(const arm_t *arm, uint32_t address); /* of the instruction there; NULL: nothing is executed there */
+const arm_region_t *arm_program(const arm_t *arm, uint32_t address); /* the region of an instruction */
 void arm_fail(arm_t *arm, const char *format, ...) ARM_PRINTF(2, 3);
 arm_op_t *arm_decode(arm_t *arm, uint32_t address, uint32_t it);
 bool arm_condition(const arm_state_t *state, unsigned condition);

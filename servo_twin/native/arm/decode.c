@@ -17,7 +17,7 @@ static uint32_t bits(uint32_t word, unsigned first, unsigned count) { return (wo
 
 static uint32_t half_word(const arm_t *arm, uint32_t address)
 {
-    const arm_region_t *program = &arm->region[0];
+    const arm_region_t *program = arm_program(arm, address);
     const uint32_t at = address - program->base;
     return (at + 1u < program->size) ? (uint32_t)program->bytes[at] | (uint32_t)program->bytes[at + 1u] << 8 : 0xDE00u;
 }
@@ -445,8 +445,10 @@ static arm_op_t load_literal(const source_t *from, operation_t kind, uint32_t t,
     }
     arm_op_t op = data_immediate(OP_MOV_IMM, false, t, 0u, value);
     op.cycles = CYCLES_LOAD;
-    if (t == 15u) {
-        return undefined(); /* a compiler uses B */
+    if (t == 15u) { /* to another memory, which B does not reach */
+        op = (kind == OP_LDR_IMM) ? operation(OP_BRANCH_TO) : undefined();
+        op.imm = value;
+        op.cycles = CYCLES_LOAD + CYCLES_RELOAD;
     }
     return op;
 }
@@ -565,7 +567,7 @@ static arm_op_t long_double(const source_t *from)
 static arm_op_t branch(operation_t kind, const source_t *from, uint32_t target)
 {
     arm_op_t op = operation(kind);
-    const arm_region_t *program = &from->arm->region[0];
+    const arm_region_t *program = arm_program(from->arm, from->address);
     op.imm = (uint32_t)((int32_t)(target - from->address) / 2);
     return (target - program->base < program->size) ? op : undefined();
 }
@@ -921,15 +923,14 @@ static uint32_t next_it(uint32_t it) { return ((it & 7u) == 0u) ? 0u : (it & 0xE
 
 arm_op_t *arm_decode(arm_t *arm, uint32_t address, uint32_t it)
 {
-    arm_op_t *slot = &arm->ops[(address - arm->region[0].base) / 2u];
+    arm_op_t *slot = arm_slot(arm, address);
     const source_t from = source_at(arm, address, it != 0u);
     const uint32_t half = from.word >> 16;
     if ((half & 0xFF00u) == 0xBF00u && (half & 0xFu) != 0u) {
         *slot = (it == 0u) ? operation(OP_NOP) : undefined();
         slot->length = 1;
         uint32_t at = address + 2u;
-        for (uint32_t state = half & 0xFFu; state != 0u && at - arm->region[0].base < arm->region[0].size;
-             state = next_it(state)) {
+        for (uint32_t state = half & 0xFFu; state != 0u && arm_slot(arm, at) != NULL; state = next_it(state)) {
             at += 2u * arm_decode(arm, at, state)->length;
         }
         return slot;

@@ -4,7 +4,7 @@
 
 /* Offsets in the file (System V ABI, chapters 4 and 5). */
 enum { E_MACHINE = 18, E_PHOFF = 28, E_SHOFF = 32, E_PHNUM = 44, E_SHNUM = 48, HEADER = 52, MACHINE_ARM = 40 };
-enum { P_TYPE = 0, P_OFFSET = 4, P_PADDR = 12, P_FILESZ = 16, PROGRAM_HEADER = 32, PT_LOAD = 1 };
+enum { P_TYPE = 0, P_OFFSET = 4, P_VADDR = 8, P_PADDR = 12, P_FILESZ = 16, PROGRAM_HEADER = 32, PT_LOAD = 1 };
 enum { SH_TYPE = 4, SH_OFFSET = 16, SH_SIZE = 20, SH_LINK = 24, SECTION_HEADER = 40, SHT_SYMTAB = 2 };
 enum { ST_NAME = 0, ST_VALUE = 4, ST_SIZE = 8, SYMBOL = 16 };
 
@@ -68,6 +68,19 @@ const char *elf_load(const elf_t *elf, const arm_region_t *region)
         memcpy(region->bytes + offset, elf->bytes + word(elf, at + P_OFFSET), size);
     }
     return NULL;
+}
+
+bool elf_load_address(const elf_t *elf, uint32_t address, uint32_t *load)
+{
+    for (uint32_t k = 0; k < half(elf, E_PHNUM); k++) {
+        const size_t at = word(elf, E_PHOFF) + k * PROGRAM_HEADER;
+        const uint32_t offset = address - word(elf, at + P_VADDR);
+        if (word(elf, at + P_TYPE) == PT_LOAD && offset < word(elf, at + P_FILESZ)) {
+            *load = word(elf, at + P_PADDR) + offset;
+            return true;
+        }
+    }
+    return false;
 }
 
 static bool has_name(const elf_t *elf, uint32_t at, const char *name)

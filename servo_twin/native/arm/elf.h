@@ -22,6 +22,9 @@ uint32_t elf_extent(const elf_t *elf, uint32_t base, uint32_t room);
 /* Copy everything that is loaded into the region; NULL, or a segment does not lie in it. */
 const char *elf_load(const elf_t *elf, const arm_region_t *region);
 
+/* Address at which the byte lies that the program has at `address`; false: in no segment of the file. */
+bool elf_load_address(const elf_t *elf, uint32_t address, uint32_t *load);
+
 /* Address and size of a symbol; false: there is none. */
 bool elf_symbol(const elf_t *elf, const char *name, uint32_t *address, uint32_t *size);
 

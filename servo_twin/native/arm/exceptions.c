@@ -40,14 +40,15 @@ void arm_set_flags(arm_t *arm, uint32_t xpsr)
 void arm_reset(arm_t *arm)
 {
     const uint64_t instructions = arm->state.instructions;
-    const uint32_t base = arm->region[0].base;
+    const uint32_t base = arm->boot;
+    arm_forget(arm);
     arm->state = (arm_state_t){.vtor = base, .instructions = instructions, .nonzero = 1};
     arm->op = NULL;
     arm->state.r[ARM_SP] = arm_load_slow(arm, base, 4u) & ~3u;
     const uint32_t entry = arm_load_slow(arm, base + 4u, 4u);
     arm->state.r[ARM_LR] = 0xFFFFFFFFu;
     arm->state.pc = entry & ~1u;
-    if (arm->state.pc - base >= arm->region[0].size || (entry & 1u) == 0u) {
+    if (arm_slot(arm, arm->state.pc) == NULL || (entry & 1u) == 0u) {
         arm->state.pc = base;
         arm_fail(arm, "the reset vector is %08lXh, where no program is", (unsigned long)entry);
     }
@@ -141,7 +142,7 @@ static void start_handler(arm_t *arm, unsigned interrupt)
     s->it = 0;
     s->pc = vector & ~1u;
     s->sleeping = 0;
-    if (s->pc - arm->region[0].base >= arm->region[0].size || (vector & 1u) == 0u) {
+    if (arm_slot(arm, s->pc) == NULL || (vector & 1u) == 0u) {
         arm_fail(arm, "vector of interrupt %u is %08lXh, where no program is", interrupt, (unsigned long)vector);
         return;
     }
@@ -207,7 +208,7 @@ void arm_exception_return(arm_t *arm, uint32_t code)
     s->exception = word[7] & 0x1FFu;
     s->it = (word[7] >> 25 & 3u) | (word[7] >> 8 & 0xFCu);
     s->left -= (int32_t)CYCLES_RETURN;
-    if ((s->exception == 0u) != (code == RETURN_THREAD) || s->pc - arm->region[0].base >= arm->region[0].size) {
+    if ((s->exception == 0u) != (code == RETURN_THREAD) || arm_slot(arm, s->pc) == NULL) {
         arm_fail(arm, "the frame of an exception is damaged: pc %08lXh", (unsigned long)word[6]);
     }
 }

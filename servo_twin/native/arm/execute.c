@@ -19,8 +19,35 @@
 
 uint32_t arm_address(const arm_t *arm, const arm_op_t *op)
 {
-    const size_t at = (size_t)(op - arm->ops);
-    return arm->region[0].base + 2u * (uint32_t)((at < arm->program_words) ? at : at - arm->program_words);
+    const size_t place = (size_t)(op - arm->ops);
+    const uint32_t at = (uint32_t)((place < arm->program_words) ? place : place - arm->program_words);
+    return (at < arm->first_words) ? arm->region[0].base + 2u * at
+                                   : arm->region[arm->other].base + 2u * (at - arm->first_words);
+}
+
+arm_op_t *arm_slot(const arm_t *arm, uint32_t address)
+{
+    uint32_t at = address - arm->region[0].base;
+    if (at < arm->region[0].size) {
+        return &arm->ops[at / 2u];
+    }
+    at = address - arm->region[arm->other].base;
+    return (arm->other != 0u && at < arm->region[arm->other].size) ? &arm->ops[arm->first_words + at / 2u] : NULL;
+}
+
+const arm_region_t *arm_program(const arm_t *arm, uint32_t address)
+{
+    return &arm->region[(address - arm->region[0].base < arm->region[0].size) ? 0u : arm->other];
+}
+
+const arm_region_t *arm_running_in(const arm_t *arm) { return arm_program(arm, arm_address(arm, arm->op)); }
+
+void arm_forget(arm_t *arm)
+{
+    if (arm->region[0].writable) {
+        memset(arm->ops, 0, arm->first_words * sizeof *arm->ops);
+        memset(arm->ops + arm->program_words, 0, arm->first_words * sizeof *arm->ops);
+    }
 }
 
 uint32_t arm_begun(const arm_t *arm) { return arm_elapsed(arm) - arm->op->cycles; }
@@ -28,7 +55,7 @@ uint32_t arm_begun(const arm_t *arm) { return arm_elapsed(arm) - arm->op->cycles
 /* The instruction at an address as its half words, for messages. */
 static void instruction_text(const arm_t *arm, uint32_t address, char *text, size_t size)
 {
-    const arm_region_t *program = &arm->region[0];
+    const arm_region_t *program = arm_program(arm, address);
     const uint32_t at = address - program->base;
     unsigned half[2] = {0, 0};
     for (unsigned k = 0; k < 2u && at + 2u * k + 1u < program->size; k++) {
@@ -72,7 +99,7 @@ static const uint8_t *find(const arm_t *arm, uint32_t address, unsigned size)
 {
     for (unsigned k = 0; k < ARM_REGIONS; k++) {
         const uint8_t *found = place(arm, address, size, k);
-        if (found != NULL) {
+        if (found != NULL && !arm->region[k].slow) {
             return found;
         }
     }
@@ -103,11 +130,17 @@ NOINLINE void arm_store_slow(arm_t *arm, uint32_t address, unsigned size, uint32
     for (unsigned k = 0; k < ARM_REGIONS; k++) {
         uint8_t *memory = place(arm, address, size, k);
         if (memory != NULL && arm->region[k].writable) {
+            const arm_op_t *slot = (k == 0u) ? arm_slot(arm, address) : NULL;
+            if (slot != NULL && slot->kind != OP_DECODE) {
+                arm_fail(arm, "write to an instruction at %08lXh that has been executed", (unsigned long)address);
+            }
             memcpy(memory, &value, size);
             return;
         }
-        if (memory != NULL) {
-            arm_fail(arm, "write to the program at %08lXh", (unsigned long)address);
+        if (memory != NULL) { /* by commands of a flash */
+            if (!arm->owner->write(arm->self, address, size, value)) {
+                arm_fail(arm, "write to the program at %08lXh", (unsigned long)address);
+            }
             return;
         }
     }
@@ -442,7 +475,7 @@ NOINLINE static uint32_t load_counter(arm_t *arm, const arm_op_t *op)
  * restored: then it is decoded here. */
 static const arm_op_t *operation_at(arm_t *arm)
 {
-    const arm_op_t *op = &arm->ops[(arm->state.pc - arm->region[0].base) / 2u];
+    const arm_op_t *op = arm_slot(arm, arm->state.pc);
     return (op->kind == OP_DECODE && arm->state.it != 0u) ? arm_decode(arm, arm->state.pc, arm->state.it) : op;
 }
 
@@ -456,6 +489,9 @@ NOINLINE static const arm_op_t *leave_program(arm_t *arm, uint32_t target)
     }
     if ((target & ~1u) == ARM_CALL_RETURN) {
         return NULL;
+    }
+    if ((target & 1u) != 0u && arm_slot(arm, target & ~1u) != NULL) {
+        return arm_slot(arm, target & ~1u); /* in the other region */
     }
     arm_fail(arm, "branch to %08lXh, where no program is", (unsigned long)target);
     return NULL;
@@ -786,6 +822,9 @@ arm_stop_t arm_run(arm_t *arm)
         case OP_STM:
             RARE(store_multiple(arm, in));
             NEXT;
+        case OP_BRANCH_TO: {
+            BRANCH(in->imm);
+        }
         case OP_LDR_PC: {
             uint32_t target;
             RARE(target = load_counter(arm, in));
@@ -898,7 +937,14 @@ bool arm_init(arm_t *arm, const arm_region_t *regions, unsigned count, const arm
 {
     memset(arm, 0, sizeof *arm);
     memcpy(arm->region, regions, count * sizeof *regions);
-    arm->program_words = regions[0].size / 2u + BEYOND;
+    arm->first_words = arm->program_words = regions[0].size / 2u + BEYOND;
+    arm->boot = regions[0].base;
+    for (unsigned k = 1; k < count; k++) {
+        if (regions[k].executable) {
+            arm->other = k;
+            arm->program_words = arm->first_words + regions[k].size / 2u + BEYOND;
+        }
+    }
     arm->owner = owner;
     arm->self = self;
     arm->ops = (arm_op_t *)calloc(2u * (size_t)arm->program_words, sizeof *arm->ops);

@@ -64,6 +64,7 @@ typedef enum {
     OP_STRD,
     OP_LDM,
     OP_STM,
+    OP_BRANCH_TO, /* imm: the address, with bit 0 */
     OP_LDR_PC, /* x: OP_LDR_IMM.. minus OP_LDR_IMM */
     OP_TBB,
     OP_TBH,

@@ -124,6 +124,8 @@ typedef struct {
     bool must_boot; /* the software starts anew */
     uint32_t polls; /* reads of registers since time last moved */
     uint64_t access_clocks; /* per access to a register while the software boots */
+    uint64_t stall; /* clocks by which the present access holds the core */
+    uint64_t flash_stall; /* the same, if the core executes from the flash */
     trace_t trace;
     bool failed;
     char error[CHIP_ERROR_SIZE];

@@ -37,7 +37,7 @@ static const peripheral_t peripherals[] = {
     {DMA1_BASE, 0x800u, offsetof(chip_t, dma), dma_read, dma_write, dma_reset},
     {USART2_BASE, 0x400u, offsetof(chip_t, usart), usart_read, usart_write, usart_reset},
     {SPI3_BASE, 0x400u, offsetof(chip_t, spi), spi_read, spi_write, spi_reset},
-    {FLASH_BASE, 0x400u, offsetof(chip_t, storage), storage_read, storage_write, storage_reset},
+    {FLASH_BASE, 0x400u, offsetof(chip_t, flash_control), flash_control_read, flash_control_write, flash_control_reset},
     {IWDG_BASE, 0x400u, offsetof(chip_t, iwdg), iwdg_read, iwdg_write, iwdg_reset},
 };
 
@@ -81,6 +81,27 @@ static bool counts_cycles(const chip_t *chip)
 
 /* ---- access --------------------------------------------------------------------------------------------------------- */
 
+static uint8_t *memory_of(const chip_t *chip, uint32_t address, unsigned size)
+{
+    const bool reachable =
+        address - SRAM1_MEMORY < SRAM1_MEMORY_SIZE + SRAM2_MEMORY_SIZE || address - FLASH_MEMORY < FLASH_MEMORY_SIZE;
+    return (reachable && chip->memory != NULL) ? chip->memory(chip->soc.bus.board, address, size) : NULL;
+}
+
+/* A read waits for the end of a command. */
+static bool read_flash(chip_t *chip, uint32_t address, unsigned size, uint32_t *value)
+{
+    const uint8_t *memory = memory_of(chip, address, size);
+    if (chip->flash_control.busy_until != CHIP_NEVER) {
+        chip->soc.bus.stall = chip->flash_control.busy_until - chip->soc.bus.now;
+    }
+    *value = 0;
+    if (memory != NULL) {
+        memcpy(value, memory, size);
+    }
+    return memory != NULL;
+}
+
 bool chip_load(void *self, uint32_t address, unsigned size, uint32_t *value)
 {
     chip_t *chip = chip_of(self);
@@ -88,6 +109,9 @@ bool chip_load(void *self, uint32_t address, unsigned size, uint32_t *value)
     if (peripheral != NULL && size == sizeof(uint32_t)) {
         *value = peripheral->read(at(chip, peripheral->offset), address - peripheral->base);
         return true;
+    }
+    if (address - FLASH_MEMORY < FLASH_MEMORY_SIZE) {
+        return read_flash(chip, address, size, value);
     }
     if (address == DWT_BASE + DWT_CYCCNT) {
         *value = counts_cycles(chip) ? (uint32_t)(chip->soc.bus.now - chip->cycle_origin) : 0u;
@@ -110,11 +134,11 @@ bool chip_store(void *self, uint32_t address, unsigned size, uint32_t value)
     if (peripheral != NULL) {
         bus_note(&chip->soc.bus, TRACE_WRITE, address >> 2, value);
         peripheral->write(at(chip, peripheral->offset), address - peripheral->base, value);
-        chip->rcc.flash_latency = FIELD_GET(chip->storage.acr, FLASH_ACR_LATENCY);
+        chip->rcc.flash_latency = FIELD_GET(chip->flash_control.acr, FLASH_ACR_LATENCY);
         return true;
     }
     if (address - FLASH_MEMORY < FLASH_MEMORY_SIZE) {
-        storage_program(&chip->storage, address - FLASH_MEMORY, value);
+        flash_control_program(&chip->flash_control, address - FLASH_MEMORY, value);
         return true;
     }
     if (address == DWT_BASE + DWT_CYCCNT) {
@@ -269,13 +293,6 @@ static void signal_dma_request(void *self, soc_dma_t request, bool on)
     dma_request(&chip_of(self)->dma, request, on);
 }
 
-static uint8_t *memory_of(const chip_t *chip, uint32_t address, unsigned size)
-{
-    const bool reachable =
-        address - SRAM1_MEMORY < SRAM1_MEMORY_SIZE + SRAM2_MEMORY_SIZE || address - FLASH_MEMORY < FLASH_MEMORY_SIZE;
-    return (reachable && chip->memory != NULL) ? chip->memory(chip->soc.bus.board, address, size) : NULL;
-}
-
 /* A DMA controller reaches the peripherals with any size of its transfers. */
 static bool signal_dma_read(void *self, uint32_t address, unsigned size, uint32_t *value)
 {
@@ -326,7 +343,7 @@ static void signal_flash_changed(void *self, uint32_t first, uint32_t words)
     for (uint32_t k = first; k < first + words; k++) {
         uint8_t *memory = memory_of(chip, FLASH_SECTOR_ADDRESS(1U) + 4u * k, sizeof(uint32_t));
         if (memory != NULL) {
-            memcpy(memory, &chip->storage.flash.word[k], sizeof(uint32_t));
+            memcpy(memory, &chip->flash_control.flash.word[k], sizeof(uint32_t));
         }
     }
 }
@@ -417,7 +434,7 @@ void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment
     soc->bus.environment = environment;
     soc->bus.board = board;
     chip->gpio.soc = chip->adc.soc = chip->dma.soc = chip->spi.soc = chip->rcc.soc = soc;
-    chip->storage.soc = chip->iwdg.soc = soc;
+    chip->flash_control.soc = chip->iwdg.soc = soc;
     chip->enable_pin = config->enable_pin;
     memcpy(chip->select_pin, config->select_pin, sizeof chip->select_pin);
     chip->fault_pin = config->fault_pin;
@@ -432,13 +449,13 @@ void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment
     }
     handle(chip, SOC_EVENT_USART, usart_event, &chip->usart);
     handle(chip, SOC_EVENT_SPI, spi_event, &chip->spi);
-    handle(chip, SOC_EVENT_FLASH, storage_event, &chip->storage);
+    handle(chip, SOC_EVENT_FLASH, flash_control_event, &chip->flash_control);
     handle(chip, SOC_EVENT_WATCHDOG, iwdg_event, &chip->iwdg);
     handle(chip, SOC_EVENT_DRIVER, drv8301_event, &chip->drivers);
     usart_init(&chip->usart, soc, config->baud);
     drv8301_init(&chip->drivers, soc);
-    flash_init(&chip->storage.flash, config->flash, config->seed);
-    chip->storage.busy_until = CHIP_NEVER;
+    flash_init(&chip->flash_control.flash, config->flash, config->seed);
+    chip->flash_control.busy_until = CHIP_NEVER;
     if (setjmp(soc->bus.escape) == 0) {
         reset_all(chip, SOC_RESET_POWER_ON);
     }

@@ -8,11 +8,11 @@
 #include "stm32f405/adc.h"
 #include "stm32f405/dma.h"
 #include "stm32f405/drv8301.h"
+#include "stm32f405/flash_control.h"
 #include "stm32f405/gpio.h"
 #include "stm32f405/iwdg.h"
 #include "stm32f405/rcc.h"
 #include "stm32f405/spi.h"
-#include "stm32f405/storage.h"
 #include "stm32f405/tim.h"
 #include "stm32f405/usart.h"
 
@@ -35,7 +35,7 @@ typedef struct chip {
     dma_t dma;
     usart_t usart;
     spi_t spi;
-    storage_t storage;
+    flash_control_t flash_control;
     iwdg_t iwdg;
     rcc_t rcc;
     drv8301_t drivers;

@@ -105,7 +105,6 @@ typedef struct {
     void *chip; /* first argument of the signals */
     uint32_t enabled[SOC_GATES]; /* clock gates */
     bool clocked; /* the core and the buses run at 168, 42 and 84 MHz */
-    uint64_t stall; /* clocks by which the present access takes longer */
     uint32_t holders[SOC_IRQS]; /* requests of an interrupt, a bit per peripheral that shares it */
 } soc_t;
 

@@ -627,10 +627,11 @@ static void write_smcr(tim_t *tim, uint32_t value)
     if (mode == SLAVE_GATED || mode > SLAVE_TRIGGER || (mode >= SLAVE_RESET && FIELD_GET(value, TIM_SMCR_TS) >= 4u)) {
         soc_no_value(tim->soc, name, TIM_SMCR, value, "this slave mode is not modelled");
     }
-    if ((tim->cr1 & TIM_CR1_CEN) != 0 && mode != (tim->smcr & FIELD_MASK(TIM_SMCR_SMS))) {
-        soc_no_value(tim->soc, name, TIM_SMCR, value, "another slave mode while the counter runs");
-    }
+    const bool counted_edges = counts_edges(tim);
     tim->smcr = value;
+    if ((tim->cr1 & TIM_CR1_CEN) != 0 && counts_edges(tim) != counted_edges) {
+        soc_no_value(tim->soc, name, TIM_SMCR, value, "another clock while the counter runs");
+    }
 }
 
 static void write_ccmr(tim_t *tim, unsigned n, uint32_t value)

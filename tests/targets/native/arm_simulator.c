@@ -89,7 +89,10 @@ int main(int count, char **argument)
     static machine_t machine;
     static elf_t elf;
     static arm_region_t regions[] = {
-        {0, 0, NULL, false}, {RAM_BASE, RAM_SIZE, NULL, true}, {IMAGE_BASE, IMAGE_ROOM, NULL, false}};
+        {.base = 0},
+        {.base = RAM_BASE, .size = RAM_SIZE, .writable = true},
+        {.base = IMAGE_BASE, .size = IMAGE_ROOM},
+    };
     size_t image_size = 0;
     if (count != 3) {
         return fail("PROGRAM.elf IMAGE");

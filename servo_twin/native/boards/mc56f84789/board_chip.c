@@ -28,6 +28,7 @@ const board_wiring_t board_wiring = {
     .vector_m1 = VECTOR_M1,
     .vector_m2 = VECTOR_ADC_CC0,
     .vector_start = VECTOR_START,
+    .boot_clocks = 2000000u,
 };
 
 static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
@@ -140,7 +141,7 @@ static void catch_up(void *chip) { qtmr_catch_up(&((chip_t *)chip)->qtmr); }
 const program_chip_t board_program_chip = {
     .port = "mc56f84789_m4",
     .flash = {0u, 0x40000u},
-    .ram = {0x20000000u, 0x8000u},
+    .ram = {{0x20000000u, 0x8000u}},
     .read = read_register,
     .write = write_register,
     .catch_up = catch_up,
@@ -160,6 +161,8 @@ void board_chip_init(board_t *board, const board_config_t *config, const chip_en
     };
     chip_init(&board->chip, &chip, environment, board);
 }
+
+void board_program_loaded(board_t *board) { (void)board; }
 
 uint64_t board_time_zero(const board_t *board)
 {

@@ -1,4 +1,4 @@
-#include "stm32f405/storage.h"
+#include "stm32f405/flash_control.h"
 
 #include "port/stm32f405/registers.h"
 
@@ -11,20 +11,20 @@
 #define CR_MODELLED (FLASH_CR_PG | FLASH_CR_SER | FIELD_MASK(FLASH_CR_SNB) | FIELD_MASK(FLASH_CR_PSIZE) | FLASH_CR_STRT)
 #define SR_ERRORS (FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_PGSERR)
 
-static uint64_t now_ns(const storage_t *storage) { return board_clocks_ns(storage->soc->bus.now); }
+static uint64_t now_ns(const flash_control_t *storage) { return board_clocks_ns(storage->soc->bus.now); }
 
 /* The end of a command, not before its last nanosecond. */
-static void wait_for_end(storage_t *storage, uint64_t duration_ns)
+static void wait_for_end(flash_control_t *storage, uint64_t duration_ns)
 {
     soc_t *soc = storage->soc;
     storage->busy_until = soc->bus.now + board_clocks(duration_ns) + 1u;
-    soc->stall = storage->busy_until - soc->bus.now;
+    soc->bus.flash_stall = storage->busy_until - soc->bus.now;
     bus_plan(&soc->bus, SOC_EVENT_FLASH, storage->busy_until);
 }
 
-void storage_event(void *peripheral, unsigned source)
+void flash_control_event(void *peripheral, unsigned source)
 {
-    storage_t *storage = (storage_t *)peripheral;
+    flash_control_t *storage = (flash_control_t *)peripheral;
     flash_t *flash = &storage->flash;
     bus_plan(&storage->soc->bus, source, CHIP_NEVER);
     const bool erased = flash->command == FLASH_ERASE;
@@ -37,9 +37,9 @@ void storage_event(void *peripheral, unsigned source)
                                          erased ? FLASH_DATA_SECTOR_WORDS : 1u);
 }
 
-static bool busy(const storage_t *storage) { return storage->busy_until != CHIP_NEVER; }
+static bool busy(const flash_control_t *storage) { return storage->busy_until != CHIP_NEVER; }
 
-void storage_program(storage_t *storage, uint32_t at, uint32_t value)
+void flash_control_program(flash_control_t *storage, uint32_t at, uint32_t value)
 {
     soc_t *soc = storage->soc;
     const uint32_t word = (at - FIRST_SECTOR * SECTOR_BYTES) / 4u;
@@ -57,7 +57,7 @@ void storage_program(storage_t *storage, uint32_t at, uint32_t value)
     }
 }
 
-static void erase(storage_t *storage)
+static void erase(flash_control_t *storage)
 {
     const uint32_t sector = FIELD_GET(storage->cr, FLASH_CR_SNB);
     if (sector < FIRST_SECTOR || sector >= FIRST_SECTOR + FLASH_DATA_SECTORS) {
@@ -67,9 +67,9 @@ static void erase(storage_t *storage)
     wait_for_end(storage, FLASH_ERASE_NS);
 }
 
-uint32_t storage_read(void *peripheral, uint32_t offset)
+uint32_t flash_control_read(void *peripheral, uint32_t offset)
 {
-    const storage_t *storage = (const storage_t *)peripheral;
+    const flash_control_t *storage = (const flash_control_t *)peripheral;
     switch (offset) {
     case FLASH_ACR:
         return storage->acr;
@@ -82,7 +82,7 @@ uint32_t storage_read(void *peripheral, uint32_t offset)
     }
 }
 
-static void write_key(storage_t *storage, uint32_t value)
+static void write_key(flash_control_t *storage, uint32_t value)
 {
     static const uint32_t keys[2] = {FLASH_KEYR_1, FLASH_KEYR_2};
     if (storage->key > 1u || value != keys[storage->key]) {
@@ -95,7 +95,7 @@ static void write_key(storage_t *storage, uint32_t value)
     }
 }
 
-static void write_cr(storage_t *storage, uint32_t value)
+static void write_cr(flash_control_t *storage, uint32_t value)
 {
     soc_allow(storage->soc, NAME, FLASH_CR, value, CR_MODELLED | FLASH_CR_LOCK,
               "a mass erase and interrupts of the flash are not modelled");
@@ -111,9 +111,9 @@ static void write_cr(storage_t *storage, uint32_t value)
     }
 }
 
-void storage_write(void *peripheral, uint32_t offset, uint32_t value)
+void flash_control_write(void *peripheral, uint32_t offset, uint32_t value)
 {
-    storage_t *storage = (storage_t *)peripheral;
+    flash_control_t *storage = (flash_control_t *)peripheral;
     switch (offset) {
     case FLASH_ACR:
         soc_allow(storage->soc, NAME, offset, value, ACR_MODELLED, "no such bits");
@@ -133,9 +133,9 @@ void storage_write(void *peripheral, uint32_t offset, uint32_t value)
     }
 }
 
-void storage_reset(void *peripheral, soc_reset_t cause)
+void flash_control_reset(void *peripheral, soc_reset_t cause)
 {
-    storage_t *storage = (storage_t *)peripheral;
+    flash_control_t *storage = (flash_control_t *)peripheral;
     (void)cause;
     if (busy(storage)) {
         flash_break_off(&storage->flash, now_ns(storage));

@@ -1,10 +1,10 @@
-/* storage.h - the flash interface: wait states, erase and program of sectors 1 to 3 (flash.h), which the firmware uses as storage.
+/* flash_control.h - the flash interface: wait states, erase and program of sectors 1 to 3 (flash.h), which the firmware uses as storage.
  *
  * The memory has one bank: while a command runs, a read of the flash waits for its end, and so does the core, which executes from
  * there. A command on another sector would change the program and is an error.
  */
-#ifndef STM32F405_STORAGE_H
-#define STM32F405_STORAGE_H
+#ifndef STM32F405_FLASH_CONTROL_H
+#define STM32F405_FLASH_CONTROL_H
 
 #include "flash.h"
 #include "stm32f405/soc.h"
@@ -15,14 +15,14 @@ typedef struct {
     uint32_t acr, cr, sr; /* without BSY */
     unsigned key; /* keys written in order */
     uint64_t busy_until; /* end of the command; CHIP_NEVER without one */
-} storage_t;
+} flash_control_t;
 
-uint32_t storage_read(void *storage, uint32_t offset);
-void storage_write(void *storage, uint32_t offset, uint32_t value);
-void storage_reset(void *storage, soc_reset_t cause);
-void storage_event(void *storage, unsigned source);
+uint32_t flash_control_read(void *storage, uint32_t offset);
+void flash_control_write(void *storage, uint32_t offset, uint32_t value);
+void flash_control_reset(void *storage, soc_reset_t cause);
+void flash_control_event(void *storage, unsigned source);
 
 /* A word of the memory is written, at an offset from the beginning of the flash. */
-void storage_program(storage_t *storage, uint32_t at, uint32_t value);
+void flash_control_program(flash_control_t *storage, uint32_t at, uint32_t value);
 
 #endif

@@ -1,0 +1,131 @@
+"""The board ODrive v3.6: the ELF file of its firmware on the model of the STM32F405."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from servo_msgs_py.board_description import BoardDescription
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.text_file import read_toml
+from servo_twin._build_native import generated_for
+from servo_twin.board import Board, BoardError
+from servo_twin.plant import DEFAULT_FILE, PlantConfig, on_board
+from servo_twin.simulation import keep_set_points
+from targets.machines import CortexM4, Target
+from targets.sources import ROOT
+from targets.toolchain import run
+from test_board_elf import planted
+
+ODRIVE = BoardDescription.load("odrive36")
+MS = 1_000_000
+ADC2_JSQR = 0x4001_2138
+GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
+
+pytestmark = pytest.mark.usefixtures("tools")
+
+
+@pytest.fixture
+def tools(needs: Callable[[Target], None]) -> None:
+    needs(CortexM4("-O2"))
+
+
+@pytest.fixture(scope="module")
+def elf(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    folder = tmp_path_factory.mktemp("odrive36")
+    generated = generated_for("odrive36", folder / "generated")
+    settings = ["BOARD=odrive36", f"GENERATED={generated}", f"BUILD={folder / 'build'}"]
+    run(["make", "--silent", "-j2", "-C", ROOT / "firmware" / "port", *settings])
+    return (folder / "build" / "servo.elf").read_bytes()
+
+
+def new_board(elf: bytes, **changes: float) -> Board:
+    plant = PlantConfig.parse(on_board(read_toml(DEFAULT_FILE), ODRIVE))
+    for axis in (0, 1):
+        plant = plant.with_axis(axis, **changes)
+    return Board(plant, seed=3, level="registers", catalogue=Catalogue.load(board=ODRIVE), elf=elf)
+
+
+@pytest.fixture
+def board(elf: bytes) -> Iterator[Board]:
+    with new_board(elf) as made:
+        yield made
+
+
+def enabled(board: Board) -> Board:
+    """Both rotors found, each axis holding its position."""
+    keep_set_points(board)
+    board.run(0.02)
+    board.write("cmd.enable", [1, 1])
+    board.advance(560 * MS)
+    return board
+
+
+def test_serial_line_answers(board: Board) -> None:
+    """Bytes through USART2 and both DMA streams: status, address and size of the table of variables."""
+    board.run(0.02)
+    board.serial_in(GET_TABLE)
+    board.run(0.02)
+    answer = board.serial_out()
+    assert answer[:3] == b"+\x40\x07"
+    assert len(answer) == 11
+
+
+def test_both_axes_move(board: Board) -> None:
+    """From the reset vector: gate drivers, rotor search, position; currents by two shunts; nothing is late."""
+    enabled(board)
+    before = [board.truth(axis).theta_m for axis in (0, 1)]
+    board.write("cmd.position", [3.0, -2.0])
+    board.advance(1000 * MS)
+    moved = [board.truth(axis).theta_m - before[axis] for axis in (0, 1)]
+    assert moved == pytest.approx([3.0, -2.0], abs=0.01)
+    assert board.read("late_loops") == 0
+    assert [board.read(f"axis{k}.faults") for k in (1, 2)] == [0, 0]
+    assert board.read("u_dc") == pytest.approx(24.0, abs=0.05)
+
+
+def test_an_over_current_is_latched_in_the_gate_driver(elf: bytes) -> None:
+    """The driver opens its own gates; by the common line the firmware opens the other inverter, too."""
+    with new_board(elf, i_break=1.0) as board:
+        enabled(board)
+        assert board.stats().breaks > 0
+        assert all(board.read(f"axis{k}.faults") for k in (1, 2))
+        assert all(abs(board.truth(axis).i_q) < 1e-6 for axis in (0, 1))
+
+
+def test_state_continues_with_the_same_bits(board: Board) -> None:
+    enabled(board)
+    for instant in (561_234_560, 561_265_870):
+        board.advance(instant)
+        state = board.state()
+        with board.copy() as copy:
+            copy.advance(570 * MS)
+            ends = copy.state().image
+        board.advance(570 * MS)
+        assert board.state().image == ends
+        board.restore(state)
+
+
+@pytest.mark.parametrize("function", ["hal_adc_currents", "hal_pwm_duty", "adc_take_m2"])
+def test_a_planted_error_is_a_fault(elf: bytes, tmp_path: Path, function: str) -> None:
+    """A driver that does nothing."""
+    with enabled(new_board(planted(elf, tmp_path, function, b"\x70\x47"))) as wrong:
+        wrong.write("cmd.position", [3.0, -2.0])
+        wrong.advance(800 * MS)
+        assert wrong.read("axis1.faults") or wrong.read("axis2.faults")
+
+
+def test_a_wrong_converter_input_is_a_fault(elf: bytes) -> None:
+    """Phase b of motor 1 and the offset of motor 2 exchanged: inputs 10 and 13 of ADC2's injected sequence."""
+    right, wrong = (
+        (1 << 20 | first << 10 | second << 15).to_bytes(4, "little") for first, second in ((10, 13), (13, 10))
+    )
+    with enabled(new_board(elf.replace(right, wrong))) as board:
+        assert board.peek(ADC2_JSQR) == int.from_bytes(wrong, "little")
+        assert board.read("axis1.faults") or board.read("axis2.faults")
+
+
+def test_the_board_needs_its_program() -> None:
+    with pytest.raises(BoardError, match="ELF file"):
+        Board(level="registers", catalogue=Catalogue.load(board=ODRIVE))
