@@ -205,6 +205,17 @@ def test_a_failed_demonstration_leaves_no_picture(
     assert ("not complete; no picture" in capsys.readouterr().out) != drawn
 
 
+def test_the_recording_is_checked_without_the_script_of_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The script, which pip writes, fails in a folder with a quotation mark in its name."""
+    rerun = pytest.importorskip("rerun")
+    with rerun.RecordingStream("test") as stream:
+        stream.save(record := tmp_path / "demo.rrd")
+        stream.log("value", rerun.Scalars(1.0))
+    monkeypatch.setattr(up_module, "executable", lambda _: Path("/bin/false"))
+    monkeypatch.setattr("servo_twin.view.picture.draw", lambda *_: None)
+    up_module._finish_demo(record, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("options", "speed", "boards", "level"),
     [

@@ -304,8 +304,9 @@ def _finish_demo(record: Path, out: Path) -> None:
         If the recording is damaged.
     """
     from servo_twin.view.picture import draw
+    from servo_twin.view.web_page import rerun_binary
 
-    check = subprocess.run([str(executable("rerun")), "rrd", "verify", str(record)], capture_output=True, text=True)
+    check = subprocess.run([str(rerun_binary()), "rrd", "verify", str(record)], capture_output=True, text=True)
     if check.returncode != 0:
         raise ChildError(f"the recording {record} is damaged:\n{check.stderr}")
     picture = out / _PICTURE

@@ -71,7 +71,7 @@ class WebPage:
 
     def __init__(self, port: int, data: str) -> None:
         self.url = f"http://{LOOPBACK}:{port}/?url={quote(data, safe='')}"
-        command = [str(_command()), "--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(port), data]
+        command = [str(rerun_binary()), "--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(port), data]
         environment = {**os.environ, "RERUN_ANALYTICS": "false"}
         self._process = subprocess.Popen(
             with_parent_death_signal(command),
@@ -114,8 +114,11 @@ class WebPage:
         self._process.wait()
 
 
-def _command() -> Path:
-    """Path of the ``rerun`` binary; the script of that name is a wrapper with an additional process."""
+def rerun_binary() -> Path:
+    """Path of the ``rerun`` binary.
+
+    The script of that name is a wrapper with an additional process, which pip writes without quotes for its folder.
+    """
     spec = importlib.util.find_spec("rerun_cli")
     folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
     folders.append(Path(sys.executable).parent)
