@@ -140,6 +140,9 @@ void servo_init(servo_t *servo, hal_t *hal, const servo_config_t *config)
     (void)config;
     servo->hal = hal;
     call(servo, FAKE_INIT, 0);
+    for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
+        hal_pwm_duty(hal, axis, 16384, 16384, 16384);
+    }
 }
 
 void servo_m1_isr(servo_t *servo) { call(servo, FAKE_M1, 0); }

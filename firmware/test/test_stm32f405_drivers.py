@@ -69,6 +69,13 @@ def test_the_start_has_the_safe_order(compile_c: CompileC, folder: object) -> No
     assert kinds.index(INTERRUPTS) == len(kinds) - 1
     calls = [c for c, _ in board.calls]
     assert calls == [INIT]
+    for register in (0xE000_E100, 0xE000_E104):  # requests of the start are dropped before interrupts are enabled
+        enabled = [n for n, (a, _) in enumerate(writes) if a == register]
+        assert all((register + 0x180, writes[n][1]) in writes[n - 2 : n] for n in enabled)
+    # The duties that the application writes before do not start a counter.
+    assert all(not value & 1 for value in board.writes_of(TIM[1]))
+    started = next(n for n, (a, v) in enumerate(writes) if a == TIM[0] and v & 1)
+    assert writes[started - 2 : started] == [(TIM[1] + 8, 6), (TIM[0] + 4, 1 << 4)]
     iwdg = board.writes_of(IWDG)
     assert iwdg[0] == 0xCCCC
     assert iwdg[-1] == 0xAAAA
