@@ -558,6 +558,9 @@ def test_an_erase_and_a_word(board: Stm32Board) -> None:
     assert lib.hal_flash_result(hal) == lib.HAL_FLASH_DONE
     assert board[FLASH + 0x10] == 1 << 31
     board.forget()
+    assert lib.hal_flash_result(hal) == lib.HAL_FLASH_DONE  # asked again
+    assert not board.writes
+    board.forget()
     lib.hal_flash_program(hal, 4096, 0xDEAD_BEEF)
     assert board.writes[-2:] == [(FLASH + 0x10, 2 << 8 | 1), (0x0800_8000, 0xDEAD_BEEF)]
     assert lib.hal_flash_read(hal, 4096) == 0xDEAD_BEEF

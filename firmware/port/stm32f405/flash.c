@@ -10,10 +10,12 @@ bool hal_flash_present(hal_t *hal) { return wait_for(hal, FLASH_BASE + FLASH_SR,
 
 uint32_t hal_flash_read(hal_t *hal, uint16_t word) { return REG_READ(hal, address_of(word)); }
 
+static bool is_locked(hal_t *hal) { return (REG_READ(hal, FLASH_BASE + FLASH_CR) & FLASH_CR_LOCK) != 0U; }
+
 /* Error flags of the previous command would block this one. */
 static void prepare(hal_t *hal)
 {
-    if ((REG_READ(hal, FLASH_BASE + FLASH_CR) & FLASH_CR_LOCK) != 0U) {
+    if (is_locked(hal)) {
         REG_WRITE(hal, FLASH_BASE + FLASH_KEYR, FLASH_KEYR_1);
         REG_WRITE(hal, FLASH_BASE + FLASH_KEYR, FLASH_KEYR_2);
     }
@@ -42,6 +44,8 @@ hal_flash_t hal_flash_result(hal_t *hal)
     if ((status & FLASH_SR_BSY) != 0U) {
         return HAL_FLASH_BUSY;
     }
-    REG_WRITE(hal, FLASH_BASE + FLASH_CR, FLASH_CR_LOCK);
+    if (!is_locked(hal)) {
+        REG_WRITE(hal, FLASH_BASE + FLASH_CR, FLASH_CR_LOCK);
+    }
     return ((status & ERRORS) == 0U) ? HAL_FLASH_DONE : HAL_FLASH_FAILED;
 }
