@@ -40,11 +40,11 @@ def elf(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (folder / "build" / "servo.elf").read_bytes()
 
 
-def new_board(elf: bytes, **changes: float) -> Board:
+def new_board(elf: bytes, flash: bytes | None = None, **changes: float) -> Board:
     plant = PlantConfig.parse(on_board(read_toml(DEFAULT_FILE), ODRIVE))
     for axis in (0, 1):
         plant = plant.with_axis(axis, **changes)
-    return Board(plant, seed=3, level="registers", catalogue=Catalogue.load(board=ODRIVE), elf=elf)
+    return Board(plant, seed=3, level="registers", catalogue=Catalogue.load(board=ODRIVE), elf=elf, flash=flash)
 
 
 @pytest.fixture
@@ -92,6 +92,20 @@ def test_an_over_current_is_latched_in_the_gate_driver(elf: bytes) -> None:
         assert board.stats().breaks > 0
         assert all(board.read(f"axis{k}.faults") for k in (1, 2))
         assert all(abs(board.truth(axis).i_q) < 1e-6 for axis in (0, 1))
+
+
+def test_parameters_are_stored_while_the_loops_run(elf: bytes, board: Board) -> None:
+    """An erase takes 250 ms; the program is in SRAM and goes on. Another board starts with the stored values."""
+    board.run(0.05)
+    board.write_raw("storage.request", [1, 0x1234])
+    board.run(0.4)
+    assert board.read("storage.answered") == 0x1234
+    assert board.read("storage.refusal") == 0
+    assert board.read("late_loops") == 0
+    with new_board(elf, board.flash_image()) as other:
+        other.run(0.01)
+        assert board.read("storage.source") == 0
+        assert other.read("storage.source") == 1
 
 
 def test_state_continues_with_the_same_bits(board: Board) -> None:

@@ -176,7 +176,7 @@ def generated_for(board: str, folder: Path) -> Path:
         [config / "tune.py", "generate", "--config", config / f"{board}.toml", "--output", source],
     ]
     for command in commands:
-        subprocess.run([sys.executable, *command], env=environment, check=True)
+        subprocess.run([sys.executable, *command], env=environment, check=True, stdout=subprocess.DEVNULL)
     return folder
 
 

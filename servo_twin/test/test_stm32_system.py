@@ -359,6 +359,9 @@ def test_the_program_is_not_erased(stm32: Stm32Rig, sector: int) -> None:
 
 
 def test_the_flash_is_locked(stm32: Stm32Rig) -> None:
+    unlock(stm32)
+    for _ in range(2):  # to lock it again changes nothing
+        stm32.write("FLASH_CR", 1 << 31)
     with pytest.raises(Stm32Error, match="locked"):
         stm32.write("FLASH_CR", 1)
 

@@ -99,7 +99,7 @@ static void write_cr(flash_control_t *storage, uint32_t value)
 {
     soc_allow(storage->soc, NAME, FLASH_CR, value, CR_MODELLED | FLASH_CR_LOCK,
               "a mass erase and interrupts of the flash are not modelled");
-    if ((storage->cr & FLASH_CR_LOCK) != 0) {
+    if ((storage->cr & FLASH_CR_LOCK) != 0 && value != FLASH_CR_LOCK) {
         soc_no_value(storage->soc, NAME, FLASH_CR, value, "written while it is locked");
     }
     if (busy(storage)) {
