@@ -301,6 +301,13 @@ FINDINGS = [
         axis1__motor__l_q=0.15e-3,
         axis1__control__path_current_use=0.1,
     ),
+    # 80 Hz with 2 % damping, three times the inertia of the rotor
+    case(
+        "axis1.load.stiffness = 0.379",
+        "resonates at 80 Hz, and the loops are unstable",
+        axis1__load__inertia=6e-6,
+        axis1__load__damping=0.02,
+    ),
     case("axis1: position K_v = 0.001 1/s", "rounding", axis1__control__position_gain=0.001),
 ]
 
@@ -311,6 +318,33 @@ def test_unfavourable_values_cause_a_warning(beginning: str, reason: str, change
     named = [sentence for sentence in sentences if sentence.startswith(beginning) and reason in sentence]
     assert len(named) >= 1, sentences
     assert all("; " in sentence for sentence in sentences), "every warning contains a remedy"
+
+
+def sprung(frequency: float, ratio: float) -> dict[str, object]:
+    """Entries of a load with this resonance [Hz] and inertia over that of the rotor, 2 % damping."""
+    load = 8e-6 * ratio / (1.0 + ratio)
+    stiffness = (2.0 * math.pi * frequency) ** 2 * load / (1.0 + ratio)
+    return {"axis1__load__inertia": load, "axis1__load__stiffness": stiffness, "axis1__load__damping": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("frequency", "ratio", "unstable"),
+    [(80.0, 1.0, False), (150.0, 1.0, False), (80.0, 3.0, True), (300.0, 1.0, True), (300.0, 10.0, True)],
+)
+def test_a_load_on_a_spring_is_unstable_where_the_board_oscillates(
+    frequency: float, ratio: float, unstable: bool
+) -> None:
+    """As measured with the firmware (firmware/doc/oscillation.md)."""
+    _, _, sentences = assessed(**sprung(frequency, ratio))
+    assert any("axis1.load.stiffness" in sentence for sentence in sentences) == unstable
+
+
+def test_a_very_stiff_spring_is_a_rigid_shaft() -> None:
+    it = axis(**sprung(20000.0, 3.0))
+    assert it.axis.load is not None
+    flexible, rigid = it.sprung(it.axis.load), it.shaft()
+    omega = 2.0 * math.pi * np.array([5.0, 50.0, 200.0])
+    assert flexible.speed_open(omega) == pytest.approx(rigid.speed_open(omega), rel=1e-3)
 
 
 def test_warnings_apply_to_the_enabled_speed_sensor() -> None:

@@ -11,10 +11,11 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
 from servo_tuning.constants import SIGN_FACTOR, SIGN_USE, SILENT_USE, dead_time_current, ripple_current, sign_current
-from servo_tuning.errors import Remedy, higher, lower
+from servo_tuning.errors import ConfigError, Remedy, higher, lower
 from servo_tuning.field_weakening import idle_speed
 from servo_tuning.gains import CURRENT_SAMPLES_MIN
 from servo_tuning.rotor_search import check_rotor_search
+from servo_tuning.schema import AXIS_GROUPS
 from servo_tuning.sensorless_checks import check_observer_entries
 from servo_tuning.winding import check_winding
 
@@ -123,6 +124,20 @@ def _axis(axis: Axis, board: Board) -> None:
     if axis("motor.rotor_inertia") > axis("motor.inertia"):
         reason = f"more than motor.inertia = {axis('motor.inertia'):g} kg m^2, which includes it"
         raise axis.refused("motor.rotor_inertia", reason, lower("motor.rotor_inertia"), higher("motor.inertia"))
+    _load(axis)
+
+
+def _load(axis: Axis) -> None:
+    """Check the load behind a spring."""
+    given = [key for key in AXIS_GROUPS["load"] if axis.given(f"load.{key}")]
+    missing = [key for key in AXIS_GROUPS["load"] if key not in given]
+    if given and missing:
+        raise ConfigError(
+            f"{axis.name}.load.{missing[0]} is missing; add it to [{axis.name}.load], or remove the group"
+        )
+    if given and axis("load.inertia") >= axis("motor.inertia"):
+        reason = f"not below motor.inertia = {axis('motor.inertia'):g} kg m^2, which includes it"
+        raise axis.refused("load.inertia", reason, lower("load.inertia"), higher("motor.inertia"))
 
 
 def _direction(axis: Axis, board: Board) -> None:

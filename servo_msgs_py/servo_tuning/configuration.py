@@ -13,7 +13,7 @@ from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_tuning.errors import ConfigError, Entry, Problem, Remedy, problem, refused
 from servo_tuning.members import MEMBERS, read_members
-from servo_tuning.motor import Motor
+from servo_tuning.motor import Load, Motor
 from servo_tuning.passwords import password_entries
 from servo_tuning.schema import (
     AXIS_GROUPS,
@@ -197,6 +197,12 @@ class Axis:
         """The motor with its shaft."""
         entries = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia")
         return Motor(**{key: self(f"motor.{key}") for key in entries}, viscous=self("friction.viscous"))
+
+    @property
+    def load(self) -> Load | None:
+        """The load behind a spring; None: not given."""
+        entries = {key: self(f"load.{key}") for key in AXIS_GROUPS["load"] if self.given(f"load.{key}")}
+        return Load(**entries) if entries else None
 
     @property
     def torque_constant(self) -> float:

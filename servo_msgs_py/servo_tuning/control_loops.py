@@ -12,7 +12,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD, TICK
 
 from servo_tuning.gains import Gains, Pi
 from servo_tuning.loops import CurrentLoop, ShaftLoops
-from servo_tuning.motor import Motor, acceleration_per_current, motor_of
+from servo_tuning.motor import Load, Motor, acceleration_per_current, motor_of
 from servo_tuning.sensors import MtSpeed, Observer
 
 
@@ -46,6 +46,10 @@ class ControlLoops:
         """
         sensor = self.observer if (self.observed if observed is None else observed) else MtSpeed()
         return ShaftLoops(self.with_inertia(inertia), self.used, self.back_emf, sensor)
+
+    def sprung(self, load: Load, observed: bool | None = None) -> ShaftLoops:
+        """Models of speed and position loop with a part of the inertia behind a spring; `observed` as in `shaft`."""
+        return replace(self.shaft(observed=observed), load=load)
 
     def with_inertia(self, inertia: float) -> Motor:
         """The motor with a shaft of another inertia, over the nominal value."""

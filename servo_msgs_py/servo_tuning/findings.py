@@ -12,6 +12,7 @@ from servo_tuning.configuration import Axis
 from servo_tuning.errors import Problem, Remedy, exactly, higher, lower
 from servo_tuning.field_weakening import field_weakening_loops
 from servo_tuning.gains import current_bandwidth_min
+from servo_tuning.linear import spectral_radius
 from servo_tuning.optional import PARTS
 from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.sensorless_constants import needs_observer
@@ -84,6 +85,7 @@ def findings(design: Tuned, figures: Assessment) -> list[Problem]:
         *_exchange(design),  # first: a faster current loop permits a faster speed loop
         *_margins(design, figures),
         *_inertias(design, figures),
+        *_spring(design),
         *_dither(design),
         *_position(design, figures),
         *_reach(design, figures),
@@ -134,6 +136,19 @@ def _inertias(design: Tuned, figures: Assessment) -> Iterator[Problem]:
         if not case.stable and case.observed == design.observed:
             reason = f"unstable with {case.factor:g} times this inertia"
             yield design.axis.problem("motor.inertia", reason, lower("control.speed_bandwidth"))
+
+
+def _spring(design: Tuned) -> Iterator[Problem]:
+    """The loops are designed for a rigid shaft; with its load on a spring they may be unstable."""
+    load = design.axis.load
+    if load is None:
+        return
+    shaft = design.sprung(load)
+    if max(spectral_radius(shaft.speed_alone), spectral_radius(shaft.position.a)) >= 1.0:
+        frequency = load.resonance(design.axis("motor.inertia"))
+        reason = f"with this spring the load resonates at {frequency:.3g} Hz, and the loops are unstable:"
+        reason = f"{reason} the drive will reduce their gains (limit OSCILLATION)"
+        yield design.axis.problem("load.stiffness", reason, lower("control.speed_bandwidth"), higher("load.stiffness"))
 
 
 def _position(design: Tuned, figures: Assessment) -> Iterator[Problem]:

@@ -20,7 +20,7 @@ from servo_msgs_py.units import PERIOD, SLOW_PERIODS, TICK
 
 from servo_tuning.gains import Gains, Pi
 from servo_tuning.linear import Margins, Matrix, Omega, System, held, margins
-from servo_tuning.motor import Motor
+from servo_tuning.motor import Load, Motor
 from servo_tuning.sensors import EdgeDelay, SpeedSensor
 
 
@@ -93,10 +93,16 @@ class ShaftLoops:
     gains: Gains  # after rounding to integers
     back_emf: float  # gain of the back-EMF decoupling [V s/rad]
     sensor: SpeedSensor  # source of the speed
+    load: Load | None = None  # behind a spring; None: a rigid shaft
 
     def _motor(self) -> tuple[Matrix, Matrix]:
-        """Motor over half a PWM period: states current, speed, angle; inputs voltage, load torque."""
+        """Motor over half a PWM period: states current, speed, angle; inputs voltage, load torque.
+
+        With a load behind a spring also its twist and its speed.
+        """
         it = self.motor
+        if self.load is not None:
+            return self._two_masses(self.load)
         a = np.array(
             [
                 [-it.r_s / it.l_q, -it.pole_pairs * it.psi_m / it.l_q, 0.0],
@@ -107,25 +113,42 @@ class ShaftLoops:
         b = np.array([[1.0 / it.l_q, 0.0], [0.0, -1.0 / it.inertia], [0.0, 0.0]])
         return held(a, b, 0.5 * PERIOD)
 
+    def _two_masses(self, load: Load) -> tuple[Matrix, Matrix]:
+        it, rotor, damping = self.motor, self.motor.inertia - load.inertia, load.viscous(self.motor.inertia)
+        spring = np.array([0.0, damping, 0.0, load.stiffness, -damping])  # torque of the spring
+        a = np.array(
+            [
+                [-it.r_s / it.l_q, -it.pole_pairs * it.psi_m / it.l_q, 0.0, 0.0, 0.0],
+                np.array([it.torque_constant, -it.viscous, 0.0, 0.0, 0.0]) / rotor - spring / rotor,
+                [0.0, 1.0, 0.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0, 0.0, -1.0],
+                spring / load.inertia,
+            ]
+        )
+        b = np.zeros((5, 2))
+        b[0, 0], b[4, 1] = 1.0 / it.l_q, -1.0 / load.inertia
+        return held(a, b, 0.5 * PERIOD)
+
     @cached_property
     def open(self) -> System:
         """Speed loop, opened between the output of the speed controller and the current set-point.
 
         Inputs: `In`. Outputs: `Out`. States: angle, speed, current, voltage, integrals of current and speed controller,
-        movement and current set-point of the last slow period, states of the sensor.
+        movement and current set-point of the last slow period, twist and speed of a load, states of the sensor.
         """
         f, g = self._motor()
         pi, gains = self.gains.current_q, self.gains.speed
+        first = 8 if self.load is None else 10
 
         def step(x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
             angle, speed, current, voltage, integral, speed_integral, moved, reference = x[:8]
             injected, set_point, load = u
-            measured, sensor = self.sensor.step(x[8:], moved, reference, TICK)
+            measured, sensor = self.sensor.step(x[first:], moved, reference, TICK)
             # The integral part uses the counted movement, not the measured speed.
             speed_integral = speed_integral + gains.ki * (set_point - moved / TICK)
             proportional = gains.kp * (set_point - measured)
             outputs = np.vstack([proportional + speed_integral, proportional, measured, speed, angle])
-            motor = np.vstack([current, speed, np.zeros_like(angle)])
+            motor = np.vstack([current, speed, np.zeros_like(angle), *x[8:first]])
             for _ in range(SLOW_PERIODS):
                 inputs = np.vstack([voltage, load])
                 motor = f @ motor + g @ inputs
@@ -134,11 +157,11 @@ class ShaftLoops:
                 loaded = pi.kp * current_error + integral + self.back_emf * measured
                 motor = f @ motor + g @ inputs
                 voltage = loaded
-            current, speed, movement = motor
+            current, speed, movement = motor[:3]
             states = (angle + movement, speed, current, voltage, integral, speed_integral, movement, injected)
-            return np.vstack([*states, *sensor]), outputs
+            return np.vstack([*states, *motor[3:], *sensor]), outputs
 
-        return System.of(step, 8 + self.sensor.states, len(In), TICK)
+        return System.of(step, first + self.sensor.states, len(In), TICK)
 
     @cached_property
     def speed(self) -> System:

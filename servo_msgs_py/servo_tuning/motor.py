@@ -12,6 +12,26 @@ from servo_msgs_py.units import COUNTS_PER_TURN, TICK
 
 
 @dataclass(frozen=True)
+class Load:
+    """Load behind a spring."""
+
+    inertia: float  # part of the inertia of the whole shaft [kg m^2]
+    stiffness: float  # [N m/rad]
+    damping: float  # of the resonance, over its critical damping
+
+    def resonance(self, shaft: float) -> float:
+        """Frequency at which motor and load oscillate against each other [Hz]; `shaft`: the whole inertia [kg m^2]."""
+        return math.sqrt(self.stiffness / self._reduced(shaft)) / (2.0 * math.pi)
+
+    def viscous(self, shaft: float) -> float:
+        """Torque per speed of the twist [N m s]; `shaft`: the whole inertia [kg m^2]."""
+        return 2.0 * self.damping * math.sqrt(self.stiffness * self._reduced(shaft))
+
+    def _reduced(self, shaft: float) -> float:
+        return (shaft - self.inertia) * self.inertia / shaft
+
+
+@dataclass(frozen=True)
 class Motor:
     """Motor with its shaft."""
 

@@ -77,6 +77,11 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Quantity]]] = {
         "rated_speed": _entry("rad/s", "rated speed of the data sheet"),
         "rated_current": _entry("A", "rated current of the data sheet, peak"),
     },
+    "load": {
+        "inertia": _entry("kg m^2", "inertia behind a spring, a part of motor.inertia", optional=True),
+        "stiffness": _entry("N m/rad", "stiffness of that spring; together with inertia", optional=True),
+        "damping": _entry("", "damping of the resonance, e.g. 0.02; together with inertia", maximum=1.0, optional=True),
+    },
     "encoder": {"lines": _entry("", "lines per turn", whole=True, minimum=100, maximum=16384)},
     "friction": {
         "coulomb": _entry("N m", "Coulomb friction", minimum=0.0),
