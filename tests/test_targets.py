@@ -33,7 +33,8 @@ NOT_ON_A_TARGET = {
     "freemaster_finish_command",
     "app_command_finish",
     # The flash of a target is erased at the start of a run.
-    "has_layout_1",
+    "layout_1",
+    "enable_oscillation",
     # DRM 4.5 lists the transition, but no flag causes it.
     "stop_init",
     # A wait of 25 s is too long for a recording.

@@ -17,7 +17,7 @@ from servo_tuning.reading import load
 from servo_tuning.tuned import Tuned, tuned
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.rig import COUNT, features, record, spinning
+from servo_twin.validation.experiments.rig import COUNT, faults, features, record, spinning
 
 CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
 SEED: Final = 1
@@ -62,6 +62,7 @@ def test_stability_limit_of_the_speed_loop_agrees_with_the_prediction(axes: list
     for inertia in (1.15 * critical, critical / 1.15):
         with spinning(shaft_with(axis, inertia), SEED) as board:
             feedback_alone(board, axis)
+            faults(board, axis, OSCILLATION=False)
             choose(board, "cmd.mode", axis, "SPEED")
             write_axis(board, "cmd.speed", axis, BASE)
             part = record(board, [axis], 1.0)[axis].part(0.6)

@@ -29,6 +29,8 @@ typedef struct {
     frac16_t winding_temperature; /* Q1.15 of 256 deg C */
     uint16_t home_state; /* home_state_t */
     uint16_t inputs; /* INPUT_ bits */
+    uint16_t oscillation; /* frequency of the last oscillation since the axis was enabled, Hz; 0: none */
+    uint16_t unused; /* padding: equal addresses on all processors */
 } axis_snapshot_t;
 
 /* Telemetry; all values are of the same slow tick. */

@@ -179,6 +179,7 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->winding_temperature = winding_model_shown(&axis->diagnosis.winding);
     view->home_state = axis->home.state;
     view->inputs = axis->inputs;
+    view->oscillation = axis->diagnosis.oscillation.frequency;
 }
 
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)

@@ -9,12 +9,15 @@ typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
 /* Words of the head of a set. */
 enum { WORD_FORMAT, WORD_LENGTH, WORD_SEQUENCE, WORD_LAYOUT };
 
-/* Format 1 had two layouts and the same numbers. A set of its last firmware is that of FORMAT_1_LAYOUT in the present
- * format. Once the layout differs from it, such a set is one of another firmware, and this reader can be removed. */
+/* Before the fault OSCILLATION a set had the same numbers; in a restored one this fault is enabled. Once the layout
+ * differs from LAYOUT_26_FAULTS, older sets are those of another firmware, and these readers can be removed. */
+#define LAYOUT_25_FAULTS UINT32_C(0xBA26E999)
+#define LAYOUT_26_FAULTS UINT32_C(0xFD6F0BEC)
+
+/* Format 1 had two layouts. A set of its last firmware is that of LAYOUT_25_FAULTS in the present format. */
 #define FORMAT_1 UINT32_C(0x31535653)
 #define FORMAT_1_PARAMETERS UINT32_C(0xC4DA1EDC)
 #define FORMAT_1_MEMBERS UINT32_C(0x23554EBA)
-#define FORMAT_1_LAYOUT UINT32_C(0xBA26E999)
 #define FORMAT_1_HEAD 5U
 
 /* ---- numbers of a set ----------------------------------------------------------------------------------------------- */
@@ -105,19 +108,29 @@ static bool is_sealed(hal_t *hal, uint16_t copy)
     return read_word(hal, copy, (uint16_t)(length - 1U)) == crc32_end(crc);
 }
 
-/* True if the numbers of format 1 are those of the present layout. */
-static bool has_layout_1(hal_t *hal, uint16_t copy)
+static uint32_t layout_1(hal_t *hal, uint16_t copy)
 {
-    return STORED_LAYOUT == FORMAT_1_LAYOUT && read_word(hal, copy, WORD_LAYOUT) == FORMAT_1_PARAMETERS &&
-           read_word(hal, copy, WORD_LAYOUT + 1U) == FORMAT_1_MEMBERS;
+    const bool last = read_word(hal, copy, WORD_LAYOUT) == FORMAT_1_PARAMETERS &&
+                      read_word(hal, copy, WORD_LAYOUT + 1U) == FORMAT_1_MEMBERS;
+    return last ? LAYOUT_25_FAULTS : ~STORED_LAYOUT;
+}
+
+static uint32_t layout_of(hal_t *hal, uint16_t copy)
+{
+    return (head_of(hal, copy) == FORMAT_1_HEAD) ? layout_1(hal, copy) : read_word(hal, copy, WORD_LAYOUT);
+}
+
+/* True if the numbers of this layout are those of the present one, without the fault OSCILLATION. */
+static bool lacks_oscillation(uint32_t layout)
+{
+    return STORED_LAYOUT == LAYOUT_26_FAULTS && layout == LAYOUT_25_FAULTS;
 }
 
 static bool has_layout(hal_t *hal, uint16_t copy)
 {
-    const uint16_t head = head_of(hal, copy);
-    const bool known =
-        (head == FORMAT_1_HEAD) ? has_layout_1(hal, copy) : read_word(hal, copy, WORD_LAYOUT) == STORED_LAYOUT;
-    return known && read_word(hal, copy, WORD_LENGTH) == head + STORED_NUMBERS + 1U;
+    const uint32_t layout = layout_of(hal, copy);
+    return (layout == STORED_LAYOUT || lacks_oscillation(layout)) &&
+           read_word(hal, copy, WORD_LENGTH) == head_of(hal, copy) + STORED_NUMBERS + 1U;
 }
 
 stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *values, uint32_t *sequence)
@@ -140,6 +153,18 @@ stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *val
     return STORED_COPY_INTACT;
 }
 
+/* A set without the fault OSCILLATION must not disable it. */
+static void enable_oscillation(const stored_values_t *values, uint32_t layout)
+{
+    if (!lacks_oscillation(layout)) {
+        return;
+    }
+    parameter_block_t *parameter = (parameter_block_t *)(void *)(values->memory + values->parameter);
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        parameter->faults_enabled[i] |= FAULT_OSCILLATION;
+    }
+}
+
 void stored_load(hal_t *hal, uint16_t copy, const stored_values_t *values)
 {
     const uint16_t head = head_of(hal, copy);
@@ -147,4 +172,5 @@ void stored_load(hal_t *hal, uint16_t copy, const stored_values_t *values)
         const number_t number = number_at(values, i);
         number_set(number.at, number.range.kind, (int32_t)read_word(hal, copy, (uint16_t)(head + i)));
     }
+    enable_oscillation(values, layout_of(hal, copy));
 }

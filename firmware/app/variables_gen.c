@@ -91,149 +91,153 @@ CHECK(71, SIZE(snapshot.axis[0].substate) == 2);
 CHECK(72, SIZE(snapshot.axis[0].faults) == 4);
 CHECK(73, SIZE(snapshot.axis[0].first_fault) == 2);
 CHECK(74, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(75, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(76, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(77, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(78, SIZE(snapshot.axis[0].winding_temperature) == 2);
-CHECK(79, SIZE(snapshot.axis[0].home_state) == 2);
-CHECK(80, SIZE(snapshot.axis[0].inputs) == 2);
-CHECK(81, SIZE(snapshot.monitor[0]) == 2);
-CHECK(82, SIZE(estimate.axis[0].speed) == 4);
-CHECK(83, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(84, SIZE(estimate.axis[0].emf) == 2);
-CHECK(85, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(86, SIZE(record[0].pending) == 4);
-CHECK(87, SIZE(nominal.torque_constant[0]) == 2);
-CHECK(88, SIZE(nominal.acceleration_current[0]) == 4);
-CHECK(89, SIZE(snapshot.axis[1].position) == 4);
-CHECK(90, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(91, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(92, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(93, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(94, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(95, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(96, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(97, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(98, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(99, SIZE(snapshot.axis[1].state) == 2);
-CHECK(100, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(101, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(102, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(103, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(104, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(105, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(106, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(107, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(108, SIZE(snapshot.axis[1].home_state) == 2);
-CHECK(109, SIZE(snapshot.axis[1].inputs) == 2);
-CHECK(110, SIZE(snapshot.monitor[1]) == 2);
-CHECK(111, SIZE(estimate.axis[1].speed) == 4);
-CHECK(112, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(113, SIZE(estimate.axis[1].emf) == 2);
-CHECK(114, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(115, SIZE(record[1].pending) == 4);
-CHECK(116, SIZE(nominal.torque_constant[1]) == 2);
-CHECK(117, SIZE(nominal.acceleration_current[1]) == 4);
-CHECK(118, SIZE(tick) >= 4);
-CHECK(119, SIZE(applied_tick) >= 4);
-CHECK(120, SIZE(applied_count) >= 2);
-CHECK(121, SIZE(axis[0].u_dc) >= 2);
-CHECK(122, SIZE(late_loops) >= 2);
-CHECK(123, SIZE(points_refused) >= 2);
-CHECK(124, SIZE(point_refusal) >= 2);
-CHECK(125, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(126, SIZE(axis[0].feedback.position) >= 4);
-CHECK(127, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(128, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(129, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(130, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(131, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(132, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(133, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(134, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(135, SIZE(axis[0].latch.captured) >= 4);
-CHECK(136, SIZE(axis[0].latch.first) >= 2);
-CHECK(137, SIZE(axis[0].active_limits) >= 2);
-CHECK(138, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(139, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(140, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(141, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(142, SIZE(axis[0].home.state) >= 2);
-CHECK(143, SIZE(axis[0].inputs) >= 2);
-CHECK(144, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(145, SIZE(axis[0].estimate.size) >= 2);
-CHECK(146, SIZE(axis[0].latch.pending) >= 4);
-CHECK(147, SIZE(axis[0].home.result) >= 2);
-CHECK(148, SIZE(axis[0].home.spread) >= 2);
-CHECK(149, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(150, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(151, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(152, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(153, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(154, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(155, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(156, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(157, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(158, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(159, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(160, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(161, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(162, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(163, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(164, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(165, SIZE(axis[0].test_signal.point) >= 2);
-CHECK(166, SIZE(axis[0].test_signal.value) >= 2);
-CHECK(167, SIZE(axis[0].startup.angle) >= 4);
-CHECK(168, SIZE(axis[0].command.mode) >= 2);
-CHECK(169, SIZE(axis[0].events.command) >= 2);
-CHECK(170, SIZE(axis[0].events.mode) >= 2);
-CHECK(171, SIZE(axis[0].sm.entered) >= 2);
-CHECK(172, SIZE(axis[1].feedback.position) >= 4);
-CHECK(173, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(174, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(175, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(176, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(177, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(178, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(179, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(180, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(181, SIZE(axis[1].latch.captured) >= 4);
-CHECK(182, SIZE(axis[1].latch.first) >= 2);
-CHECK(183, SIZE(axis[1].active_limits) >= 2);
-CHECK(184, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(185, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(186, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(187, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(188, SIZE(axis[1].home.state) >= 2);
-CHECK(189, SIZE(axis[1].inputs) >= 2);
-CHECK(190, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(191, SIZE(axis[1].estimate.size) >= 2);
-CHECK(192, SIZE(axis[1].latch.pending) >= 4);
-CHECK(193, SIZE(axis[1].home.result) >= 2);
-CHECK(194, SIZE(axis[1].home.spread) >= 2);
-CHECK(195, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(196, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(197, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(198, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(199, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(200, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(201, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(202, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(203, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(204, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(205, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(206, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(207, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(208, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(209, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(210, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(211, SIZE(axis[1].test_signal.point) >= 2);
-CHECK(212, SIZE(axis[1].test_signal.value) >= 2);
-CHECK(213, SIZE(axis[1].startup.angle) >= 4);
-CHECK(214, SIZE(axis[1].command.mode) >= 2);
-CHECK(215, SIZE(axis[1].events.command) >= 2);
-CHECK(216, SIZE(axis[1].events.mode) >= 2);
-CHECK(217, SIZE(axis[1].sm.entered) >= 2);
+CHECK(75, SIZE(snapshot.axis[0].oscillation) == 2);
+CHECK(76, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(77, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(78, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(79, SIZE(snapshot.axis[0].winding_temperature) == 2);
+CHECK(80, SIZE(snapshot.axis[0].home_state) == 2);
+CHECK(81, SIZE(snapshot.axis[0].inputs) == 2);
+CHECK(82, SIZE(snapshot.monitor[0]) == 2);
+CHECK(83, SIZE(estimate.axis[0].speed) == 4);
+CHECK(84, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(85, SIZE(estimate.axis[0].emf) == 2);
+CHECK(86, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(87, SIZE(record[0].pending) == 4);
+CHECK(88, SIZE(nominal.torque_constant[0]) == 2);
+CHECK(89, SIZE(nominal.acceleration_current[0]) == 4);
+CHECK(90, SIZE(snapshot.axis[1].position) == 4);
+CHECK(91, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(92, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(93, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(94, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(95, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(96, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(97, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(98, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(99, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(100, SIZE(snapshot.axis[1].state) == 2);
+CHECK(101, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(102, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(103, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(104, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(105, SIZE(snapshot.axis[1].oscillation) == 2);
+CHECK(106, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(107, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(108, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(109, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(110, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(111, SIZE(snapshot.axis[1].inputs) == 2);
+CHECK(112, SIZE(snapshot.monitor[1]) == 2);
+CHECK(113, SIZE(estimate.axis[1].speed) == 4);
+CHECK(114, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(115, SIZE(estimate.axis[1].emf) == 2);
+CHECK(116, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(117, SIZE(record[1].pending) == 4);
+CHECK(118, SIZE(nominal.torque_constant[1]) == 2);
+CHECK(119, SIZE(nominal.acceleration_current[1]) == 4);
+CHECK(120, SIZE(tick) >= 4);
+CHECK(121, SIZE(applied_tick) >= 4);
+CHECK(122, SIZE(applied_count) >= 2);
+CHECK(123, SIZE(axis[0].u_dc) >= 2);
+CHECK(124, SIZE(late_loops) >= 2);
+CHECK(125, SIZE(points_refused) >= 2);
+CHECK(126, SIZE(point_refusal) >= 2);
+CHECK(127, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(128, SIZE(axis[0].feedback.position) >= 4);
+CHECK(129, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(130, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(131, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(132, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(133, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(134, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(135, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(136, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(137, SIZE(axis[0].latch.captured) >= 4);
+CHECK(138, SIZE(axis[0].latch.first) >= 2);
+CHECK(139, SIZE(axis[0].active_limits) >= 2);
+CHECK(140, SIZE(axis[0].diagnosis.oscillation.frequency) >= 2);
+CHECK(141, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(142, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(143, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(144, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(145, SIZE(axis[0].home.state) >= 2);
+CHECK(146, SIZE(axis[0].inputs) >= 2);
+CHECK(147, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(148, SIZE(axis[0].estimate.size) >= 2);
+CHECK(149, SIZE(axis[0].latch.pending) >= 4);
+CHECK(150, SIZE(axis[0].home.result) >= 2);
+CHECK(151, SIZE(axis[0].home.spread) >= 2);
+CHECK(152, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(153, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(154, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(155, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(156, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(157, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(158, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(159, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(160, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(161, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(162, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(163, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(164, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(165, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(166, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(167, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(168, SIZE(axis[0].test_signal.point) >= 2);
+CHECK(169, SIZE(axis[0].test_signal.value) >= 2);
+CHECK(170, SIZE(axis[0].startup.angle) >= 4);
+CHECK(171, SIZE(axis[0].command.mode) >= 2);
+CHECK(172, SIZE(axis[0].events.command) >= 2);
+CHECK(173, SIZE(axis[0].events.mode) >= 2);
+CHECK(174, SIZE(axis[0].sm.entered) >= 2);
+CHECK(175, SIZE(axis[1].feedback.position) >= 4);
+CHECK(176, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(177, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(178, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(179, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(180, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(181, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(182, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(183, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(184, SIZE(axis[1].latch.captured) >= 4);
+CHECK(185, SIZE(axis[1].latch.first) >= 2);
+CHECK(186, SIZE(axis[1].active_limits) >= 2);
+CHECK(187, SIZE(axis[1].diagnosis.oscillation.frequency) >= 2);
+CHECK(188, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(189, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(190, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(191, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(192, SIZE(axis[1].home.state) >= 2);
+CHECK(193, SIZE(axis[1].inputs) >= 2);
+CHECK(194, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(195, SIZE(axis[1].estimate.size) >= 2);
+CHECK(196, SIZE(axis[1].latch.pending) >= 4);
+CHECK(197, SIZE(axis[1].home.result) >= 2);
+CHECK(198, SIZE(axis[1].home.spread) >= 2);
+CHECK(199, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(200, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(201, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(202, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(203, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(204, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(205, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(206, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(207, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(208, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(209, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(210, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(211, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(212, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(213, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(214, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(215, SIZE(axis[1].test_signal.point) >= 2);
+CHECK(216, SIZE(axis[1].test_signal.value) >= 2);
+CHECK(217, SIZE(axis[1].startup.angle) >= 4);
+CHECK(218, SIZE(axis[1].command.mode) >= 2);
+CHECK(219, SIZE(axis[1].events.command) >= 2);
+CHECK(220, SIZE(axis[1].events.mode) >= 2);
+CHECK(221, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -390,6 +394,7 @@ static const char strings[] TABLE_MEMORY =
     "faults\0"
     "first_fault\0"
     "limits\0"
+    "oscillation\0"
     "points_waiting\0"
     "points_taken\0"
     "points_late\0"
@@ -470,6 +475,7 @@ static const char strings[] TABLE_MEMORY =
     "axis1.faults\0"
     "axis1.first_fault\0"
     "axis1.limits\0"
+    "axis1.oscillation\0"
     "axis1.points_waiting\0"
     "axis1.points_taken\0"
     "axis1.points_late\0"
@@ -526,6 +532,7 @@ static const char strings[] TABLE_MEMORY =
     "axis2.faults\0"
     "axis2.first_fault\0"
     "axis2.limits\0"
+    "axis2.oscillation\0"
     "axis2.points_waiting\0"
     "axis2.points_taken\0"
     "axis2.points_late\0"
@@ -589,7 +596,8 @@ static const char strings[] TABLE_MEMORY =
     "WATCHDOG\0"
     "MOTOR_TEMPERATURE\0"
     "ENABLE_INPUT\0"
-    "LIMIT_SWITCH\0";
+    "LIMIT_SWITCH\0"
+    "OSCILLATION\0";
 
 static const tsa_entry_t entries[] TABLE_MEMORY = {
     {0, 8, 0, 2, TSA_KIND_NONE}, /* state_t */
@@ -741,28 +749,29 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {1220, 1006, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
     {1227, 1035, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
     {1239, 1035, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
-    {1246, 1035, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
-    {1261, 1035, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
-    {1274, 1035, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {1286, 1042, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
-    {1306, 326, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
-    {1317, 1035, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
-    {1324, 992, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {1339, 1006, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {1246, 1035, IN(axis_snapshot_t, oscillation), SIZE_IN(axis_snapshot_t, oscillation), TSA_KIND_NONE}, /* oscillation */
+    {1258, 1035, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {1273, 1035, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {1286, 1035, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {1298, 1042, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
+    {1318, 326, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
+    {1329, 1035, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
+    {1336, 992, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {1351, 1006, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
     {1001, 1006, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {1347, 1035, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {1359, 1035, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
     {1205, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
     {1211, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {1352, 1035, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {1357, 1035, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {1364, 1035, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {1369, 1035, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
     {1177, 1042, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
     {1173, 1042, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
     {1197, 1042, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
     {1037, 1042, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
     {1155, 1042, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {1362, 1006, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {1377, 1006, AT(boot_token), SIZE(boot_token), TSA_KIND_RW}, /* boot_token */
-    {1388, 981, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {1374, 1006, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1389, 1006, AT(boot_token), SIZE(boot_token), TSA_KIND_RW}, /* boot_token */
+    {1400, 981, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
     {1001, 1006, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
     {1008, 1006, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
     {1021, 1035, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
@@ -771,169 +780,171 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {1055, 1035, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
     {1073, 1035, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
     {1088, 245, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {1397, 1140, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {1410, 1161, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {1420, 1042, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {1428, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {1437, 1035, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {1448, 1035, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {1463, 1035, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {1480, 1140, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
-    {1498, 368, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
-    {1507, 1042, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
-    {1526, 1006, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
-    {1540, 1006, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
-    {1556, 1006, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
-    {1571, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
-    {1586, 1140, AT(command.memory.points), SIZE(command.memory.points), TSA_KIND_RW}, /* cmd.points */
-    {1597, 1140, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1611, 1035, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1623, 1006, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1637, 1006, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1653, 1006, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1671, 1035, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1686, 1035, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1701, 1035, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1723, 1035, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
-    {1739, 1006, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
-    {1756, 721, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
-    {1770, 1035, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
-    {1787, 865, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
-    {1803, 757, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
-    {1818, 797, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
-    {1831, 1035, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
-    {1845, 1035, AT(measurement_request.axis), SIZE(measurement_request.axis), TSA_KIND_RW}, /* measurement.axis */
-    {1862, 897, AT(measurement_status.state), SIZE(measurement_status.state), TSA_KIND_RO}, /* measurement.state */
-    {1880, 932, AT(measurement_status.ended), SIZE(measurement_status.ended), TSA_KIND_RO}, /* measurement.ended */
-    {1898, 1161, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1916, 1161, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1941, 1042, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1957, 1035, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1972, 1140, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1991, 1140, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {2010, 1140, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {2032, 1161, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {2049, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {2064, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {2081, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {2101, 1006, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {2122, 546, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {2136, 1035, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {2155, 1035, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {2177, 1035, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {2189, 1161, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {2198, 1140, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {2213, 1140, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {2232, 1161, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {2244, 1161, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {2260, 1042, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {2270, 1042, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {2280, 1042, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {2294, 1042, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {2304, 1042, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {2314, 1042, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {2328, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {2340, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {2355, 1006, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {2368, 1035, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {2386, 1035, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {2399, 1035, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {2420, 1035, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {2439, 1035, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {2457, 1042, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {2483, 1042, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {2505, 326, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {2522, 1035, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
-    {2535, 1042, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {2549, 1161, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2570, 1042, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2593, 1042, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2612, 1035, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2636, 1006, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2650, 1324, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2669, 454, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2687, 1035, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2705, 1042, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2727, 1140, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2754, 1042, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2764, 1042, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2774, 1042, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2784, 1042, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2798, 1042, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2811, 1042, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2824, 1042, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2837, 1140, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2848, 1140, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2859, 1140, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2874, 1161, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2890, 1161, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2909, 1161, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2925, 1140, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2941, 1140, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2957, 1140, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2972, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
-    {2989, 1042, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
-    {3007, 1042, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
-    {3024, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
-    {3035, 1035, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {3055, 1035, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {3072, 1035, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {3090, 1140, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {3105, 1140, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {3124, 1161, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {3136, 1161, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {3152, 1042, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {3162, 1042, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {3172, 1042, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {3186, 1042, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {3196, 1042, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {3206, 1042, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {3220, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {3232, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {3247, 1006, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {3260, 1035, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {3278, 1035, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {3291, 1035, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {3312, 1035, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {3331, 1035, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {3349, 1042, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {3375, 1042, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {3397, 326, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {3414, 1035, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
-    {3427, 1042, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {3441, 1161, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {3462, 1042, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {3485, 1042, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {3504, 1035, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {3528, 1006, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {3542, 1324, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {3561, 454, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {3579, 1035, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3597, 1042, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3619, 1140, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3646, 1042, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3656, 1042, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3666, 1042, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3676, 1042, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3690, 1042, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3703, 1042, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3716, 1042, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3729, 1140, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3740, 1140, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3751, 1140, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3766, 1161, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3782, 1161, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3801, 1161, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3817, 1140, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3833, 1140, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3849, 1140, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3864, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
-    {3881, 1042, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
-    {3899, 1042, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
-    {3916, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3927, 1035, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3947, 1035, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3964, 1035, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {1409, 1140, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1422, 1161, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1432, 1042, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1440, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1449, 1035, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1460, 1035, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1475, 1035, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1492, 1140, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1510, 368, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1519, 1042, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
+    {1538, 1006, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
+    {1552, 1006, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
+    {1568, 1006, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
+    {1583, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
+    {1598, 1140, AT(command.memory.points), SIZE(command.memory.points), TSA_KIND_RW}, /* cmd.points */
+    {1609, 1140, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1623, 1035, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1635, 1006, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1649, 1006, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1665, 1006, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1683, 1035, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1698, 1035, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1713, 1035, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1735, 1035, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1751, 1006, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1768, 721, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1782, 1035, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1799, 865, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1815, 757, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1830, 797, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1843, 1035, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1857, 1035, AT(measurement_request.axis), SIZE(measurement_request.axis), TSA_KIND_RW}, /* measurement.axis */
+    {1874, 897, AT(measurement_status.state), SIZE(measurement_status.state), TSA_KIND_RO}, /* measurement.state */
+    {1892, 932, AT(measurement_status.ended), SIZE(measurement_status.ended), TSA_KIND_RO}, /* measurement.ended */
+    {1910, 1161, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1928, 1161, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1953, 1042, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1969, 1035, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1984, 1140, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {2003, 1140, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {2022, 1140, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {2044, 1161, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {2061, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {2076, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {2093, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {2113, 1006, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {2134, 546, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {2148, 1035, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {2167, 1035, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {2189, 1035, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {2201, 1161, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {2210, 1140, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {2225, 1140, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {2244, 1161, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2256, 1161, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2272, 1042, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2282, 1042, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2292, 1042, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2306, 1042, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2316, 1042, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2326, 1042, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2340, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2352, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2367, 1006, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2380, 1035, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2398, 1035, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2411, 1035, AT(snapshot.axis[0].oscillation), SIZE(snapshot.axis[0].oscillation), TSA_KIND_RO}, /* axis1.oscillation */
+    {2429, 1035, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2450, 1035, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2469, 1035, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2487, 1042, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2513, 1042, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2535, 326, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2552, 1035, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {2565, 1042, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2579, 1161, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2600, 1042, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2623, 1042, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2642, 1035, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2666, 1006, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2680, 1336, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2699, 454, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2717, 1035, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2735, 1042, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2757, 1140, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2784, 1042, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2794, 1042, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2804, 1042, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2814, 1042, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2828, 1042, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2841, 1042, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2854, 1042, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2867, 1140, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2878, 1140, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2889, 1140, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2904, 1161, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2920, 1161, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2939, 1161, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2955, 1140, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2971, 1140, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2987, 1140, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {3002, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
+    {3019, 1042, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
+    {3037, 1042, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
+    {3054, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
+    {3065, 1035, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {3085, 1035, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {3102, 1035, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {3120, 1140, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {3135, 1140, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {3154, 1161, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {3166, 1161, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {3182, 1042, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {3192, 1042, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {3202, 1042, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {3216, 1042, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {3226, 1042, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {3236, 1042, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {3250, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {3262, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {3277, 1006, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {3290, 1035, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {3308, 1035, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {3321, 1035, AT(snapshot.axis[1].oscillation), SIZE(snapshot.axis[1].oscillation), TSA_KIND_RO}, /* axis2.oscillation */
+    {3339, 1035, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3360, 1035, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3379, 1035, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3397, 1042, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3423, 1042, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3445, 326, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3462, 1035, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {3475, 1042, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3489, 1161, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3510, 1042, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3533, 1042, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3552, 1035, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3576, 1006, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3590, 1336, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3609, 454, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3627, 1035, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3645, 1042, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3667, 1140, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3694, 1042, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3704, 1042, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3714, 1042, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3724, 1042, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3738, 1042, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3751, 1042, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3764, 1042, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3777, 1140, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3788, 1140, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3799, 1140, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3814, 1161, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3830, 1161, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3849, 1161, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3865, 1140, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3881, 1140, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3897, 1140, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3912, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
+    {3929, 1042, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
+    {3947, 1042, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
+    {3964, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3975, 1035, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3995, 1035, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {4012, 1035, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -957,6 +968,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[0].faults), OFFSET(axis[0].latch.captured), 4}, /* axis1.faults */
     {AT(snapshot.axis[0].first_fault), OFFSET(axis[0].latch.first), 2}, /* axis1.first_fault */
     {AT(snapshot.axis[0].limits), OFFSET(axis[0].active_limits), 2}, /* axis1.limits */
+    {AT(snapshot.axis[0].oscillation), OFFSET(axis[0].diagnosis.oscillation.frequency), 2}, /* axis1.oscillation */
     {AT(snapshot.axis[0].points_taken), OFFSET(axis[0].trajectory.taken), 2}, /* axis1.points_taken */
     {AT(snapshot.axis[0].points_late), OFFSET(axis[0].trajectory.late), 2}, /* axis1.points_late */
     {AT(snapshot.axis[0].winding_temperature), OFFSET(axis[0].diagnosis.winding.temperature) + 2, 2}, /* axis1.winding_temperature */
@@ -1003,6 +1015,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[1].faults), OFFSET(axis[1].latch.captured), 4}, /* axis2.faults */
     {AT(snapshot.axis[1].first_fault), OFFSET(axis[1].latch.first), 2}, /* axis2.first_fault */
     {AT(snapshot.axis[1].limits), OFFSET(axis[1].active_limits), 2}, /* axis2.limits */
+    {AT(snapshot.axis[1].oscillation), OFFSET(axis[1].diagnosis.oscillation.frequency), 2}, /* axis2.oscillation */
     {AT(snapshot.axis[1].points_taken), OFFSET(axis[1].trajectory.taken), 2}, /* axis2.points_taken */
     {AT(snapshot.axis[1].points_late), OFFSET(axis[1].trajectory.late), 2}, /* axis2.points_late */
     {AT(snapshot.axis[1].winding_temperature), OFFSET(axis[1].diagnosis.winding.temperature) + 2, 2}, /* axis2.winding_temperature */
@@ -1052,8 +1065,8 @@ static const uint16_t refusal_offsets[] = {161, 261, 266, 271, 277, 286, 115, 12
 const name_list_t servo_refusal_names = {refusal_offsets, 12};
 static const uint16_t copy_offsets[] = {811, 817, 824, 832, 845, 858};
 const name_list_t servo_copy_names = {copy_offsets, 6};
-static const uint16_t fault_offsets[] = {3982, 3995, 4009, 4022, 4037, 190, 4050, 4062, 4070, 4078, 4091, 4107, 4118, 4135, 4152, 4161, 4176, 4191, 4202, 4216, 4226, 4235, 355, 4253, 4266};
-const name_list_t servo_fault_names = {fault_offsets, 25};
+static const uint16_t fault_offsets[] = {4030, 4043, 4057, 4070, 4085, 190, 4098, 4110, 4118, 4126, 4139, 4155, 4166, 4183, 4200, 4209, 4224, 4239, 4250, 4264, 4274, 4283, 355, 4301, 4314, 4327};
+const name_list_t servo_fault_names = {fault_offsets, 26};
 
 const variable_range_t servo_ranges[] = {
     {OFFSET(boot_token), 1, {NUMBER_WIDE, INT32_C(0), INT32_C(2147483647)}}, /* boot_token */
@@ -1087,7 +1100,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(parameter.feedback), 2, {0U, INT32_C(0), INT32_C(1)}}, /* param.feedback */
     {OFFSET(parameter.on_disable), 2, {0U, INT32_C(0), INT32_C(3)}}, /* param.on_disable */
     {OFFSET(parameter.on_quick_stop), 2, {0U, INT32_C(0), INT32_C(3)}}, /* param.on_quick_stop */
-    {OFFSET(parameter.faults_enabled), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(33554431)}}, /* param.faults_enabled */
+    {OFFSET(parameter.faults_enabled), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(67108863)}}, /* param.faults_enabled */
     {OFFSET(parameter.monitor), 2, {0U, INT32_C(0), INT32_C(15)}}, /* param.monitor */
     {OFFSET(parameter.host_timeout), 1, {0U, INT32_C(100), INT32_C(60000)}}, /* param.host_timeout */
     {OFFSET(parameter.command_timeout), 1, {0U, INT32_C(0), INT32_C(60000)}}, /* param.command_timeout */

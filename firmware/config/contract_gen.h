@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x724DC382)
+#define CATALOGUE_HASH UINT32_C(0x92D74CBA)
 
 #define POSITION_PER_TURN 4000 /* position counts */
 
@@ -192,6 +192,7 @@ typedef enum {
 #define FAULT_HOMING UINT32_C(0x00400000) /* homing failed: see axisN.home_result */
 #define FAULT_ENABLE_INPUT UINT32_C(0x00800000) /* the enable input opened while the axis was enabled; the hardware has switched the outputs off */
 #define FAULT_LIMIT_SWITCH UINT32_C(0x01000000) /* a limit switch was reached in motion, or its wire is broken */
+#define FAULT_OSCILLATION UINT32_C(0x02000000) /* the current oscillates by more than its limit, peak to peak, also with an eighth of the gains of speed and position control */
 
 #define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* cannot be switched off */
 
@@ -208,6 +209,7 @@ typedef enum {
 #define LIMIT_FIELD_WEAKENING UINT16_C(0x0400) /* negative i_d is applied, because the bus voltage is too low for this speed */
 #define LIMIT_NOT_HOMED UINT16_C(0x0800) /* position not known: the shaft stays near the position at which it was enabled, and set-points beyond that are refused */
 #define LIMIT_INPUT UINT16_C(0x1000) /* enable input open: the axis is not enabled; or limit switch active: no motion in its direction */
+#define LIMIT_OSCILLATION UINT16_C(0x2000) /* the current oscillated: the gains of speed and position control are reduced until the next enabling, or full again because it did not depend on them */
 
 #define INPUT_HOME UINT16_C(0x0001) /* the home switch is active */
 #define INPUT_LIMIT_MIN UINT16_C(0x0002) /* the lower limit switch is active */
@@ -253,6 +255,6 @@ typedef enum {
 #define STORAGE_REQUEST_FACTORY 2
 
 #define PARAM_FEATURES_MAX INT32_C(65535)
-#define PARAM_FAULTS_ENABLED_MAX INT32_C(33554431)
+#define PARAM_FAULTS_ENABLED_MAX INT32_C(67108863)
 
 #endif

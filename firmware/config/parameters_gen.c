@@ -25,7 +25,7 @@ void parameters_default_axis(parameter_block_t *parameter, uint16_t axis, const 
     parameter->feedback[axis] = config->feedback;
     parameter->on_disable[axis] = config->stop.disable;
     parameter->on_quick_stop[axis] = config->stop.quick_stop;
-    parameter->faults_enabled[axis] = UINT32_C(33554431);
+    parameter->faults_enabled[axis] = UINT32_C(67108863);
 }
 
 void parameters_renew(parameter_block_t *parameter, uint16_t axis, const axis_config_t *before,

@@ -7,6 +7,7 @@
 #include "diagnosis/current_sense_monitor.h"
 #include "diagnosis/encoder_monitor.h"
 #include "diagnosis/heat_sink_monitor.h"
+#include "diagnosis/oscillation_monitor.h"
 #include "diagnosis/phase_monitor.h"
 #include "diagnosis/shaft_monitor.h"
 #include "diagnosis/stall_test.h"
@@ -21,6 +22,7 @@ typedef struct {
     heat_sink_monitor_t heat_sink;
     winding_model_t winding;
     shaft_monitor_t shaft;
+    oscillation_monitor_t oscillation;
     stall_test_t stall;
     evidence_t evidence; /* findings and suspicions of this slow tick so far */
 } diagnosis_t;

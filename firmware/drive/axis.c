@@ -15,6 +15,7 @@
 #include "drive/motion.h"
 #include "drive/run_states.h"
 #include "drive/soft_limits.h"
+#include "drive/speed_control.h"
 #include "drive/stop.h"
 #include "drive/test_signal.h"
 #include "drive/winding_protection.h"
@@ -47,6 +48,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, const parameter_block_
     hal_pwm_enable(hal, index, false);
     hal_adc_select(hal, index, axis->sense.pair);
     axis->motion.position_gain = config->position_gain;
+    speed_control_start(axis);
     axis->fast = LOOP_FAST;
     homing_init(axis);
     axis->source->reset(axis);

@@ -108,13 +108,19 @@ typedef struct {
     bool underrun; /* stopped because no point followed a point with a speed other than 0 */
     path_filter_t path; /* path filter; on a trajectory only its output is used */
     path_position_t model_position; /* ideal shaft, for the following error, counts with 24 fraction bits */
-    int32_t position_gain; /* gain in force, approaches that of the configuration: speed fraction (31 bits) per count */
+    int32_t position_gain; /* gain in force, approaches `position_gain_target`: speed fraction (31 bits) per count */
+    int32_t position_gain_target; /* that of the configuration, divided by 2^gain_shift */
     bool path_forward; /* speed feed-forward from the path */
     bool resting; /* the shaft is at rest near the target */
     frac32_t speed_ramp; /* output of the ramp, Q1.31 of full-scale speed */
     frac32_t shaped_speed; /* speed of the path or of the ramp in this tick, Q1.31 of full-scale speed */
     frac32_t acceleration; /* change of the shaped speed in this tick, Q1.31 of full-scale speed */
     pi_state_t speed_pi;
+    const pi_gains_t *speed_gains; /* gains in force: those of the configuration, or `reduced_gains` */
+    pi_gains_t reduced_gains; /* with the bandwidth divided by 2^gain_shift */
+    uint16_t gain_shift; /* against an oscillation: bandwidths of speed and position control divided by 2^gain_shift */
+    bool forced; /* an oscillation since the start that the gains did not change: the load forces it */
+    uint16_t first_swing; /* of the first oscillation since the start, peak to peak, Q1.15 of full-scale current */
     frac32_t speed_ref; /* set-point of the speed controller, Q1.31 of full-scale speed */
     frac32_t speed_test_signal; /* test signal added to `speed_ref`, Q1.31 of full-scale speed */
     bool saturated; /* the output of the speed controller is at its limit */

@@ -40,7 +40,7 @@ static void begin(axis_t *axis, motion_t motion)
  * without speed feed-forward it needs an error to command a speed. */
 static int32_t lag_of(const axis_t *axis, frac32_t speed)
 {
-    return axis->motion.path_forward ? 0 : speed / axis->config->position_gain;
+    return axis->motion.path_forward ? 0 : speed / axis->motion.position_gain;
 }
 
 static void start_path(axis_t *axis, int32_t target, frac32_t speed)
@@ -460,6 +460,7 @@ void motion_start(axis_t *axis)
 {
     axis->motion = (motion_state_t){.position_gain = axis->config->position_gain};
     axis->diagnosis.shaft = (shaft_monitor_t){0};
+    speed_control_start(axis);
     limits_renew(axis);
     hold(axis);
 }
@@ -473,6 +474,7 @@ void motion_start_turning(axis_t *axis, frac16_t i_q)
     m->target_clipped = false;
     m->speed_ref = axis->feedback.speed;
     axis->diagnosis.shaft = (shaft_monitor_t){0};
+    speed_control_start(axis);
     enter(axis, MOTION_SPEED, axis->feedback.speed);
 }
 
@@ -516,7 +518,7 @@ bool motion_too_slow(const axis_t *axis)
 static void follow_gain(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    const int32_t change = axis->config->position_gain - m->position_gain;
+    const int32_t change = m->position_gain_target - m->position_gain;
     if (change != 0) {
         const int32_t part = change / GAIN_TICKS;
         m->position_gain += (part != 0) ? part : change;

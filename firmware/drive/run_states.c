@@ -14,10 +14,14 @@
 #include "drive/run_step.h"
 #include "drive/sensorless_estimate.h"
 #include "drive/sensorless_startup.h"
+#include "drive/speed_control.h"
 #include "drive/stop.h"
 #include "drive/test_mode.h"
 #include "math/divide.h"
 #include "sensing/rotor_hold.h"
+
+#define GAIN_SHIFT_MAX 3U /* an eighth of the gains */
+#define DITHER_COUNTS 4   /* counts per slow tick */
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
 
@@ -464,6 +468,9 @@ static void spin_slow(axis_t *axis)
         axis_report(axis, LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
+    if (axis->motion.gain_shift != 0U || axis->motion.forced) {
+        axis_report(axis, LIMIT_OSCILLATION);
+    }
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
         bring_to_rest(axis);
     }
@@ -481,6 +488,63 @@ static void spin_estimate(axis_t *axis)
     }
 }
 
+/* Reduce the gains. If an oscillation remains as it was, the load forces it, e.g. by cogging: the full gains oppose it
+ * best. A large one stops the axis. */
+static void calm(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const uint16_t swing = axis->diagnosis.oscillation.swing;
+    if (m->gain_shift == 0U && !m->forced) {
+        m->first_swing = swing;
+    }
+    if (!m->forced && m->gain_shift < GAIN_SHIFT_MAX) {
+        speed_control_retune(axis, axis->config, (uint16_t)(m->gain_shift + 1U));
+    } else if (swing > (uint16_t)axis->current_max.q) {
+        axis_raise(axis, FOUND(FINDING_OSCILLATION));
+    } else if (!m->forced && swing > m->first_swing / 2U) {
+        speed_control_retune(axis, axis->config, 0);
+        m->forced = true;
+    }
+}
+
+/* Current that an oscillation has, or would have with full gains: then one limit serves all gains. It is measured,
+ * because the current loop may be the one that oscillates. */
+static frac16_t current_with_full_gains(const axis_t *axis, const pi_gains_t *full)
+{
+    const motion_state_t *m = &axis->motion;
+    const frac16_t current = axis->current_loop.current.q;
+    if (m->gain_shift == 0U) {
+        return current;
+    }
+    const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
+    return f16_add(current, f16_from_f32(f32_gain(error, full->kp - m->speed_gains->kp)));
+}
+
+/* Smallest swing of an oscillation, peak to peak: more than the dither of a shaft at rest, whose speed error is a few
+ * counts per tick. */
+static frac16_t swing_min(const axis_t *axis, const pi_gains_t *full)
+{
+    const frac16_t part = axis->config->i_q_limit / 4;
+    const frac32_t dither = f32_gain(DITHER_COUNTS * axis->config->speed_per_path_step, full->kp);
+    const frac16_t swing = (dither > f32_from_f16(part)) ? f16_from_f32(dither) : part;
+    return f16_limit(swing, axis->current_max.q);
+}
+
+/* A host may command a torque that alternates. */
+static void judge_oscillation(axis_t *axis)
+{
+    oscillation_monitor_t *monitor = &axis->diagnosis.oscillation;
+    const bool commanded = axis->motion.motion == MOTION_TORQUE || axis->test_signal.point != TEST_POINT_NONE;
+    if (commanded || (axis->latch.enabled & FAULT_OSCILLATION) == 0U) {
+        oscillation_monitor_restart(monitor);
+        return;
+    }
+    const pi_gains_t *full = speed_control_full_gains(axis, axis->config);
+    if (oscillation_monitor_step(monitor, swing_min(axis, full), current_with_full_gains(axis, full))) {
+        calm(axis);
+    }
+}
+
 static void spin_check(axis_t *axis)
 {
     if (axis->sensorless) {
@@ -491,6 +555,7 @@ static void spin_check(axis_t *axis)
     if (axis->motion.underrun && (axis->parameter.features & FEATURE_STARVED) != 0U) {
         axis_raise(axis, FOUND(FINDING_HOST_SILENT));
     }
+    judge_oscillation(axis);
     const finding_set_t findings = monitor_shaft(axis);
     if (findings != 0U) {
         judge_shaft(axis, findings);

@@ -82,19 +82,43 @@ static bool report_current(axis_t *axis)
     return derated;
 }
 
-static const pi_gains_t *gains_of(const axis_t *axis, const axis_config_t *config)
+const pi_gains_t *speed_control_full_gains(const axis_t *axis, const axis_config_t *config)
 {
     return axis->sensorless ? &config->observed_speed : &config->speed;
 }
 
-static const pi_gains_t *speed_gains(const axis_t *axis) { return gains_of(axis, axis->config); }
-
-void speed_control_retune(axis_t *axis, const axis_config_t *config)
+/* Set the gains. With the bandwidth divided by 2^shift, the corner of the integral part falls as much: the phase margin
+ * remains. */
+static void set_gains(axis_t *axis, const axis_config_t *config, uint16_t shift)
 {
     motion_state_t *m = &axis->motion;
+    const pi_gains_t *gains = speed_control_full_gains(axis, config);
+    m->gain_shift = shift;
+    m->speed_gains = gains;
+    m->position_gain_target = config->position_gain;
+    if (shift != 0U) {
+        m->reduced_gains = (pi_gains_t){asr32(gains->kp, shift), asr32(gains->ki, 2U * shift), gains->kc};
+        m->speed_gains = &m->reduced_gains;
+        const int32_t position_gain = asr32(config->position_gain, shift);
+        m->position_gain_target = (position_gain != 0) ? position_gain : 1;
+    }
+}
+
+void speed_control_start(axis_t *axis)
+{
+    set_gains(axis, axis->config, 0);
+    axis->motion.forced = false;
+    axis->diagnosis.oscillation = (oscillation_monitor_t){0};
+}
+
+void speed_control_retune(axis_t *axis, const axis_config_t *config, uint16_t gain_shift)
+{
+    motion_state_t *m = &axis->motion;
+    const pi_gains_t before = *m->speed_gains;
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
-    const pi_sum_t kept = pi_retuned(&m->speed_pi, speed_gains(axis), gains_of(axis, config), error);
     const frac32_t gained = f32_sub(forward_current(axis, axis->config), forward_current(axis, config));
+    set_gains(axis, config, gain_shift);
+    const pi_sum_t kept = pi_retuned(&m->speed_pi, &before, m->speed_gains, error);
     m->speed_pi.integral = pi_sum_saturated(kept + pi_sum_of(gained));
 }
 
@@ -105,7 +129,7 @@ frac16_t speed_control(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
-    const pi_gains_t *gains = speed_gains(axis);
+    const pi_gains_t *gains = m->speed_gains;
     if ((axis->parameter.features & FEATURE_ANTI_WINDUP) == 0U) {
         m->speed_pi.excess = 0; /* equivalent to Kc = 0 */
     }
@@ -130,7 +154,7 @@ frac16_t speed_control(axis_t *axis)
  * against a load that drives the shaft, and decays again within the limit. */
 static frac32_t current_margin(const axis_t *axis, frac32_t ahead, frac32_t mean_ahead, frac32_t *held)
 {
-    const pi_gains_t *gains = speed_gains(axis);
+    const pi_gains_t *gains = axis->motion.speed_gains;
     const frac32_t integral = f32_add(*held, f32_gain(mean_ahead, gains->ki));
     *held = (integral < 0) ? f32_clip(integral, f32_from_f16(axis->limits.i_q)) : 0;
     return f32_add(*held, f32_gain(ahead, gains->kp));

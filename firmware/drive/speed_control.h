@@ -8,9 +8,15 @@
 /* Speed control to `motion.speed_ref`. Returns i_q*. */
 frac16_t speed_control(axis_t *axis);
 
-/* Bumpless change to gains and feed-forward of `config`, before it takes effect: the integrator compensates the
- * change. */
-void speed_control_retune(axis_t *axis, const axis_config_t *config);
+/* Gains of a configuration, without reduction. */
+const pi_gains_t *speed_control_full_gains(const axis_t *axis, const axis_config_t *config);
+
+/* Full gains, and no oscillation found: the axis is enabled, or its configuration is new. */
+void speed_control_start(axis_t *axis);
+
+/* Bumpless change to gains and feed-forward of `config`, before it takes effect, with the
+ * bandwidths divided by 2^gain_shift: the integrator compensates the change. */
+void speed_control_retune(axis_t *axis, const axis_config_t *config, uint16_t gain_shift);
 
 /* Torque control within the speed limits. Returns i_q*. */
 frac16_t torque_control(axis_t *axis);

@@ -27,7 +27,8 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
 {
     if (axis->sm.state == STATE_RUN) {
         current_loop_retune(&axis->current_loop, &axis->config->current_loop, &config->current_loop, axis->current_ref);
-        speed_control_retune(axis, config);
+        speed_control_retune(axis, config, 0);
+        axis->motion.forced = false;
         keep_estimates(axis, config);
     } else {
         axis->motion.position_gain = config->position_gain;
@@ -36,6 +37,7 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
     const bool other_encoder = encoder_lines(&config->encoder) != encoder_lines(&axis->config->encoder);
     axis->config = config;
     if (axis->sm.state != STATE_RUN) {
+        speed_control_start(axis);
         inputs_configure(axis);
         if (other_encoder) { /* another number of counts per turn: the position is not known any more */
             axis->source->reset(axis);

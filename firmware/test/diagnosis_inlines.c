@@ -10,5 +10,6 @@
 #define static
 #define inline
 #include "diagnosis/heat_sink_monitor.h"
+#include "diagnosis/oscillation_monitor.h"
 #include "diagnosis/shaft_monitor.h"
 #include "diagnosis/winding_model.h"

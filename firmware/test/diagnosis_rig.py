@@ -100,6 +100,10 @@ class Diagnosis:
         self.evidence.confirmed = self.lib.shaft_monitor_step(monitor, configuration, self.shaft_seen)
         return self.names()
 
+    def oscillation(self, current: int, swing: int = 1000) -> bool:
+        monitor = self.ffi.addressof(self.monitors, "oscillation")
+        return bool(self.lib.oscillation_monitor_step(monitor, swing, current))
+
     def stall_start(self, i_q: int) -> None:
         self.seen.current_ref.q = i_q
         self.lib.stall_test_start(self.ffi.addressof(self.monitors, "stall"), self.search, self.seen)

@@ -9,7 +9,7 @@ from block_bench import BlockBench
 from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import MODE, STATE, amps, speed
+from servo_bench import MODE, STATE, SUBSTATE, amps, speed
 from servo_msgs_py.axis_config import AxisConfigTable, Member
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
 from servo_tuning.block import block_of
@@ -255,6 +255,18 @@ def test_position_gain_changes_gradually(bench: BlockBench) -> None:
     assert old < seen[0] < old * 1.1
     assert seen == sorted(seen)
     assert seen[-1] == new
+
+
+def test_gains_taken_during_the_first_rotor_search_are_those_of_the_motion(bench: BlockBench) -> None:
+    bench.write(0, enable=1)
+    bench.to_substate(0, SUBSTATE.ALIGN)
+    block = read_block(bench, 0)
+    send_block(bench, 0, {**block, "speed.kp": 2 * block["speed.kp"], "position_gain": 3 * block["position_gain"]})
+    take(bench, 0)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.ALIGN)
+    bench.to_substate(0, SUBSTATE.SPIN)
+    motion = bench.axis(0).motion
+    assert (motion.speed_gains.kp, motion.position_gain) == (2 * block["speed.kp"], 3 * block["position_gain"])
 
 
 @settings(max_examples=40)

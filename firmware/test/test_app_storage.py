@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -397,9 +397,20 @@ def format_1() -> Words:
     return words
 
 
-def test_a_set_of_format_1_is_restored_and_saved_in_the_present_format(core: Core) -> None:
+def before_oscillation() -> Words:
+    """The same set in the present format, with the layout before the fault OSCILLATION."""
+    words = np.delete(format_1(), HEAD)
+    words[0], words[1], words[3] = FORMAT, words[1] - 1, 0xBA26E999
+    words = np.append(words, words[-1])
+    seal(words, 0)
+    return words
+
+
+@pytest.mark.parametrize("older", [format_1, before_oscillation])
+def test_an_older_set_is_restored_and_saved_in_the_present_format(core: Core, older: Callable[[], Words]) -> None:
+    """Also with the fault OSCILLATION, which the older firmware did not have."""
     built_in = StorageBench(core, erased()).values()
-    bench = StorageBench(core, format_1())
+    bench = StorageBench(core, older())
     assert (bench.source(), bench.copies()) == ("COPY_A", ["INTACT", "EMPTY"])
     restored = bench.values()
     assert sum(new != old for new, old in zip(restored, built_in, strict=True)) == 3

@@ -197,6 +197,8 @@ TOGETHER = [
     case("axis1.limits.speed (in [defaults.limits]) = 314", "65.13 rad/s", axis1__motor__psi_m=0.1),
     case("axis1.friction.coulomb = 0.2", "gives 0.185 N m"),
     case("axis1.motor.rotor_inertia = 2e-05", "8e-06 kg m^2"),
+    case("axis1.load.stiffness is missing", "or remove the group", axis1__load__inertia=4e-6),
+    case("axis1.load.inertia = 8e-06", "8e-06 kg m^2", axis1__load__stiffness=1.0, axis1__load__damping=0.02),
     # consistency of the limits
     case("axis1.timing.stop_speed = 314", "speed limit"),
     case("board.under_voltage = 25", "nominal_voltage = 24 V"),
@@ -417,7 +419,7 @@ def test_stop_categories_are_written_to_the_c_file() -> None:
     text = compute(axis1__stop__following_error="short", axis1__stop__over_speed="ramp", axis1__stop__disable="coast")
     axis1 = text.split("},\n        {")[0]
     assert ".stop.disable = STOP_CATEGORY_COAST," in axis1
-    assert ".stop.shorted = FAULT_FOLLOWING_ERROR," in axis1
+    assert ".stop.shorted = FAULT_FOLLOWING_ERROR | FAULT_OSCILLATION," in axis1
     assert ".stop.ramp = FAULT_HOMING | FAULT_HOST_SILENT | FAULT_LIMIT_SWITCH | FAULT_OVER_SPEED," in axis1
     assert ".stop.hold = 0," in axis1
 

@@ -65,6 +65,7 @@ RULES: Final = {
     "HOMING_FAILED": Rule("HOMING"),
     "ENABLE_OPEN": Rule("ENABLE_INPUT"),
     "LIMIT_SWITCH": Rule("LIMIT_SWITCH"),
+    "OSCILLATION": Rule("OSCILLATION"),
 }
 """In the order of their priority."""
 

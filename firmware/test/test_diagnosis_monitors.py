@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from diagnosis_rig import (
     ANGLE,
@@ -731,3 +733,58 @@ def test_bus_voltage_and_over_current_latch(
     limits = rig.ffi.new("bus_monitor_t *", {"u_dc_max": 200, "u_dc_min": 100})
     rig.evidence.confirmed = rig.lib.bus_monitor_findings(limits, u_dc, settled, broken)
     assert rig.names() == findings
+
+
+# ---- oscillation
+def wave(frequency: float, amplitude: float, ticks: int, noise: float = 0.0) -> list[int]:
+    """Samples of a current once per slow tick of 0.5 ms."""
+    random = np.random.default_rng(1)
+    time = 0.0005 * np.arange(ticks)
+    samples = amplitude * np.sin(2.0 * math.pi * frequency * time) + noise * random.standard_normal(ticks)
+    return [int(x) for x in np.clip(np.round(samples), -32768, 32767)]
+
+
+@pytest.mark.parametrize("frequency", [60.0, 80.0, 330.0, 700.0])
+@pytest.mark.parametrize(("amplitude", "noise"), [(1000.0, 0.0), (16000.0, 900.0), (60000.0, 0.0)])
+def test_a_sustained_oscillation_is_found_in_time_with_its_frequency(
+    rig: Diagnosis, frequency: float, amplitude: float, noise: float
+) -> None:
+    """Also if it is limited, or with noise. The first swings have no previous one and may be counted anew."""
+    found = [k for k, x in enumerate(wave(frequency, amplitude, 1000, noise)) if rig.oscillation(x)]
+    assert 399 <= found[0] <= 399 + 4 * 20
+    assert rig.monitors.oscillation.frequency == pytest.approx(frequency, rel=0.03, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "current",
+    [
+        pytest.param(wave(48.0, 30000.0, 4000), id="slower than the longest period"),
+        pytest.param(wave(200.0, 480.0, 4000), id="smaller than the smallest swing"),
+        pytest.param(wave(0.0, 0.0, 4000, 150.0), id="noise"),
+        pytest.param([int(30000 * math.exp(-k / 80) * math.cos(0.6 * k)) for k in range(4000)], id="decays"),
+        pytest.param([20000 if k // 60 % 2 else -20000 for k in range(4000)], id="steps of a set-point"),
+        pytest.param(([*wave(200.0, 9000.0, 350), *[0] * 40] * 9), id="pauses"),
+    ],
+)
+def test_other_currents_are_no_oscillation(rig: Diagnosis, current: list[int]) -> None:
+    assert not any(rig.oscillation(x) for x in current)
+    assert rig.monitors.oscillation.frequency == 0
+
+
+def test_an_oscillation_that_continues_is_found_again(rig: Diagnosis) -> None:
+    found = [k for k, x in enumerate(wave(250.0, 4000.0, 1700)) if rig.oscillation(x)]
+    assert len(found) == 4
+    assert all(400 <= b - a <= 410 for a, b in itertools.pairwise(found))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_current_is_counted_without_overflow(rig: Diagnosis, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    swing = int(random.integers(0, 32768))
+    extremes = random.choice([-32768, -1, 0, 1, 32767], 1000)
+    for x in np.where(random.random(1000) < 0.5, extremes, random.integers(-32768, 32768, 1000)):
+        rig.oscillation(int(x), swing)
+        monitor = rig.monitors.oscillation
+        assert monitor.pause <= 21
+        assert monitor.turns <= monitor.ticks <= 400
+        assert monitor.swing <= 65535

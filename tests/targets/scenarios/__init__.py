@@ -35,6 +35,7 @@ SCENARIOS: Final = (
     Scenario("caught", plant(), faults.caught),
     Scenario("stalled", plant(), faults.stalled),
     Scenario("backlash", plant(), faults.backlash),
+    Scenario("shaken", plant(), faults.shaken),
     Scenario("slipped-discs", plant(friction=0.04), faults.slipped_discs),
     Scenario("silent-encoder", plant(), faults.silent_encoder),
     Scenario("quiet-losses", plant(), faults.quiet_losses),

@@ -16,7 +16,7 @@ from servo_twin.fault_injection import (
     StuckLine,
 )
 
-from targets.rig import Rig
+from targets.rig import Rig, RigError
 from targets.scenarios.parts import ALL_FAULTS, FAULTS_WITHOUT_MONITORS, POSITION, SPEED, TORQUE, features, ready, spin
 
 
@@ -126,6 +126,18 @@ def stalled(rig: Rig) -> None:
     rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
     rig.set("cmd.enable", 1)
     rig.run(0.001)
+
+
+def shaken(rig: Rig) -> None:
+    """A load that alternates: smaller gains do not help, full gains are restored; the axis stops when it is large."""
+    spin(rig)
+    rig.set("cmd.mode", POSITION)
+    for k in range(7200):
+        rig.set_load(0, (0.05 if k < 4800 else 0.18) * math.sin(2.0 * math.pi * 60.0 * k * 0.00025))
+        rig.wait(0.00025)
+        if "OSCILLATION" in rig.faults(0):
+            return
+    raise RigError("an oscillation is not found")
 
 
 def backlash(rig: Rig) -> None:

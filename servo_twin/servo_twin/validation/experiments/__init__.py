@@ -38,7 +38,7 @@ _MODULES: Final = """
     anti_windup position rotor_search mt_speed path_filter stiffness low_speed bus_ripple two_axes braking feed_forward
     friction speed_observer soft_limits homing supervision field_weakening pins observer start_up minimum_speed
     sensorless_load_step sensorless_stall winding plant_effects fault_matrix fault_campaign motor_campaign
-    hidden_change
+    hidden_change resonance
 """
 
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {

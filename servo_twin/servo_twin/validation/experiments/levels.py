@@ -15,8 +15,9 @@ from servo_msgs_py.table_text import aligned
 from servo_twin.level import Level
 from servo_twin.validation.experiments.outcome import Bound, Outcome, Row
 
-NOT_COMPARED: Final = frozenset({"motor-campaign", "hidden-change"})
-"""Experiments that have been measured at one level only."""
+NOT_COMPARED: Final = frozenset({"motor-campaign", "hidden-change", "resonance"})
+"""Experiments that have been measured at one level only, or whose number of figures depends on oscillations that grow
+from noise."""
 
 HELP: Final = """\
 All experiments on the ideal chip with the averaged plant, and again on the registers with the switching plant. A

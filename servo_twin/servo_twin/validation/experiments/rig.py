@@ -35,7 +35,7 @@ SETTLED: Final = 0.1
 SLOW: Final = 0.2 * COUNT / TICK  # speed with negligible motion between true value and snapshot of a tick [rad/s]
 
 
-WORDS: Final = ("limits", "faults", "state", "substate")
+WORDS: Final = ("limits", "faults", "state", "substate", "oscillation")
 """Variables of an axis that are recorded as words of the firmware."""
 
 _COUNTED: Final = ("position", "position_ref")  # recorded in counts
@@ -192,11 +192,20 @@ def _recording(
 
 def features(board: Board, axis: int, **switches: bool) -> None:
     """Switch features on or off by name, e.g. ``ANTI_WINDUP=False``."""
-    masks = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
-    mask = board.read_words("param.features")[axis]
+    _switch(board, "param.features", axis, switches)
+
+
+def faults(board: Board, axis: int, **switches: bool) -> None:
+    """Enable or disable faults by name, e.g. ``OSCILLATION=False``."""
+    _switch(board, "param.faults_enabled", axis, switches)
+
+
+def _switch(board: Board, parameter: str, axis: int, switches: Mapping[str, bool]) -> None:
+    masks = {flag.name: flag.mask for flag in board.catalogue.flags[board.catalogue[parameter].flags or ""]}
+    mask = board.read_words(parameter)[axis]
     for name, on in switches.items():
         mask = mask | masks[name] if on else mask & ~masks[name]
-    write_word(board, "param.features", axis, mask)
+    write_word(board, parameter, axis, mask)
 
 
 def set_up(
