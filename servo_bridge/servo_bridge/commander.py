@@ -339,6 +339,8 @@ def _joint_lines(name: str, position: float, velocity: float, values: Mapping[st
     remaining = values.get("current limit left [%]", "100")
     if remaining != "100":
         lines.append(f"    winding at {values['winding [deg C]']} deg C: current limit derated to {remaining} %")
+    if values.get("oscillation [Hz]", "none") != "none":
+        lines.append(f"    oscillation at {values['oscillation [Hz]']} Hz since it was enabled")
     return lines
 
 

@@ -34,16 +34,17 @@ BOARD_COUNTERS: Final = ("late_loops", "receiver_overruns")
 SLOW_CALLBACK: Final = 0.1
 """Duration of a callback above which there is a warning [s]; set-points and paths wait for its end."""
 
-WINDING: Final = ("winding_temperature", "winding_current")
-"""Variables of an axis for `Winding`."""
+CONDITION: Final = ("winding_temperature", "winding_current", "oscillation")
+"""Variables of an axis for `Condition`."""
 
 
 @dataclass(frozen=True)
-class Winding:
-    """Estimated winding temperature of a motor, and its effect."""
+class Condition:
+    """Estimated winding temperature of a motor and its effect, and the oscillation that the board has found."""
 
-    temperature: float  # temperature [deg C]
+    temperature: float  # temperature of the winding [deg C]
     current: float  # derated current limit; full scale if not derated [A]
+    oscillation: float  # frequency of the last oscillation since the axis was enabled; 0: none [Hz]
 
 
 @dataclass
@@ -167,10 +168,10 @@ class Health:
         axis: int,
         snapshot: Snapshot | None,
         record: FaultRecord | None = None,
-        winding: Winding | None = None,
+        condition: Condition | None = None,
         current_limit: float | None = None,
     ) -> DiagnosticStatus:
-        """Status of one axis; faults with cause and remedy, a warning while the current limit is derated.
+        """Status of one axis; faults with cause and remedy, a warning with a derated current limit or an oscillation.
 
         Parameters
         ----------
@@ -180,7 +181,7 @@ class Health:
             Newest sample; None without a board.
         record : FaultRecord, optional
             Record of the first fault.
-        winding : Winding, optional
+        condition : Condition, optional
             Last values; None if not read yet.
         current_limit : float, optional
             Current limit of the axis [A].
@@ -192,8 +193,9 @@ class Health:
         faults = flag_texts(self._catalogue, "faults", snapshot.faults[axis])
         word = snapshot.values.get(f"{prefix}.limits")
         limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
-        remaining = 1.0 if winding is None or not current_limit else min(winding.current / current_limit, 1.0)
-        level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 else _OK
+        remaining = 1.0 if condition is None or not current_limit else min(condition.current / current_limit, 1.0)
+        oscillation = condition.oscillation if condition is not None else 0.0
+        level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 or oscillation else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or NO_FAULT for key, texts in ((FAULTS, faults), ("limits", limits))}
@@ -206,11 +208,14 @@ class Health:
             values["first fault tick"] = record.tick
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
             values[f"{column} [{unit}]"] = _number(snapshot.values[f"{prefix}.{column}"])
-        if winding is not None:
-            values["winding [deg C]"] = _number(winding.temperature)
+        if condition is not None:
+            values["winding [deg C]"] = _number(condition.temperature)
             values["current limit left [%]"] = _number(100.0 * remaining)
+            values["oscillation [Hz]"] = _number(oscillation) if oscillation else "none"
         derated = f"; hot winding: current limit derated to {100.0 * remaining:.0f} %" if remaining < 1.0 else ""
+        swinging = f"; oscillation at {oscillation:.0f} Hz" if oscillation else ""
         message = "; ".join(faults) or status.label + at_limit + derated
+        message += swinging
         if not used:
             level, message = _OK, "not in use (parameter used)"
         return self._status(name, level, message, values)

@@ -1,4 +1,4 @@
-"""Values of the board that are not in the telemetry: motor data, error counters, winding temperatures."""
+"""Values of the board that are not in the telemetry: motor data, error counters, winding temperatures, oscillations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from servo_msgs_py.catalogue import AXES, Value, axis_name, numbers
 from servo_msgs_py.robot_description import Motor
 
 from servo_bridge.board_context import BoardContext
-from servo_bridge.health import BOARD_COUNTERS, WINDING, Winding
+from servo_bridge.health import BOARD_COUNTERS, CONDITION, Condition
 from servo_bridge.part import Part
 from servo_bridge.telemetry import Snapshot
 
@@ -25,18 +25,18 @@ class SlowValues(Part):
         Access to the board, the executor and the log.
     motors_known : callable
         Called after the motor data have been read.
-    windings_known : callable
-        Called with the winding temperatures, by axis, after each reading.
+    conditions_known : callable
+        Called with the conditions of the axes after each reading.
     """
 
     def __init__(
         self,
         context: BoardContext,
         motors_known: Callable[[], None],
-        windings_known: Callable[[Sequence[Winding]], None],
+        conditions_known: Callable[[Sequence[Condition]], None],
     ) -> None:
         self._context = context
-        self._motors_known, self._windings_known = motors_known, windings_known
+        self._motors_known, self._conditions_known = motors_known, conditions_known
         self._counting = False
         self._link = self._epoch = 0  # numbers of the connection and of the resets of the board
         self.counters: dict[str, int] | None = None  # of `BOARD_COUNTERS`
@@ -63,7 +63,7 @@ class SlowValues(Part):
 
     def _forget(self) -> None:
         self.motors: list[Motor] = []  # by axis; empty until they are read
-        self.windings: list[Winding | None] = [None] * AXES  # by axis
+        self.conditions: list[Condition | None] = [None] * AXES  # by axis
         self.counters = None
 
     def read_motors(self) -> None:
@@ -76,21 +76,22 @@ class SlowValues(Part):
         self._start([f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _MOTOR], take)
 
     def read_counters(self) -> None:
-        """Start to read counters and windings, unless a reading is in progress; they would lengthen every sample."""
+        """Start to read counters and conditions, unless a reading is in progress; they would lengthen every sample."""
 
         def take(values: list[float]) -> None:
             self.counters = {name: int(value) for name, value in zip(BOARD_COUNTERS, values, strict=False)}
             about = values[len(BOARD_COUNTERS) :]
-            found = [Winding(*pair) for pair in zip(about[::2], about[1::2], strict=True)]
-            self.windings = list(found)
-            self._windings_known(found)
+            size = len(CONDITION)
+            found = [Condition(*about[k : k + size]) for k in range(0, len(about), size)]
+            self.conditions = list(found)
+            self._conditions_known(found)
 
         def ended() -> None:
             self._counting = False
 
         if not self._counting:
             self._counting = True
-            names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in WINDING]
+            names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in CONDITION]
             self._start([*BOARD_COUNTERS, *names], take, ended)
 
     def _start(

@@ -222,7 +222,7 @@ class Supervisor:
             health.link(self._status, self._link.statistics(), parts.settings.baud, self._link.low_latency.text),
             health.board(self._link.board, snapshot, parts.slow.counters),
             *(
-                health.axis(axis, snapshot, parts.fault_records.records[axis], parts.slow.windings[axis], limit)
+                health.axis(axis, snapshot, parts.fault_records.records[axis], parts.slow.conditions[axis], limit)
                 for axis, limit in enumerate(self._current_limits())
             ),
             health.commands(

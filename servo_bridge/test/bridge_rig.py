@@ -73,7 +73,7 @@ class FakeLink:
         self.connected = False
         self.tick = 8
         self.epoch = 0
-        self.values: dict[str, int] = {f"axis{k}.home_state": 0 for k in (1, 2)}
+        self.values: dict[str, int] = {f"axis{k}.{name}": 0 for k in (1, 2) for name in ("home_state", "oscillation")}
         self.parameters = {v.name: [v.to_raw(v.minimum)] * v.count for v in parameters(catalogue)}
         self.blocks: dict[str, bytes] = {}
         self.pending_reads: list[Future[Value]] | None = None  # unanswered reads of blocks; None: blocks are answered

@@ -97,16 +97,17 @@ def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
-def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> None:
+def test_state_prints_derating_of_current_limit_and_oscillation(rig: Rig, command: Command) -> None:
     rig.connect(SPIN, SPIN)
     assert command("set", "param.i_q_limit=4,4")[0] == 0
-    rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
+    rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3, "axis2.oscillation": 236}
     rig.until(lambda: "derated to 75 %" in rig.diagnosis("axis2").message)
     status, out, _ = command("state")
-    rig.link.values |= {"axis2.winding_current": 9}
+    rig.link.values |= {"axis2.winding_current": 9, "axis2.oscillation": 0}
     rig.until(lambda: rig.diagnosis("axis2").level == b"\x00")
     assert status == 0
     assert "    winding at 118 deg C: current limit derated to 75 %" in out.splitlines()
+    assert "    oscillation at 236 Hz since it was enabled" in out.splitlines()
 
 
 def test_state_names_parameters_refused_by_the_board(rig: Rig, command: Command) -> None:

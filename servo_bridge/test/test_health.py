@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from servo_bridge.freemaster.client import BoardInfo
-from servo_bridge.health import Health, Winding
+from servo_bridge.health import Condition, Health
 from servo_bridge.telemetry import AxisStatus, Snapshot
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS
@@ -39,23 +39,34 @@ def test_late_loops_are_counted_across_the_wrap_of_the_counter() -> None:
     assert status(health, 1, 0).message == "in the last second: 2 late loops"
 
 
-def axis_status(winding: Winding | None, limit: float | None, faults: int = 0) -> DiagnosticStatus:
+def axis_status(condition: Condition | None, limit: float | None, faults: int = 0) -> DiagnosticStatus:
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 2.0}
     state = AxisStatus("RUN/SPIN", accepts_set_points=True)
     snapshot = Snapshot(8, 0, 0, values, 0, 0, (state, state), (faults, 0))
-    return Health(Catalogue.load(), "bridge", "port", DEFAULT_JOINTS).axis(0, snapshot, None, winding, limit)
+    return Health(Catalogue.load(), "bridge", "port", DEFAULT_JOINTS).axis(0, snapshot, None, condition, limit)
 
 
 def test_hot_winding_is_a_warning_with_the_derated_current() -> None:
-    cool = axis_status(Winding(80.0, 8.25), 4.0)
+    cool = axis_status(Condition(80.0, 8.25, 0.0), 4.0)
     assert (cool.level, cool.message) == (DiagnosticStatus.OK, "RUN/SPIN")
     about = {value.key: value.value for value in cool.values}
     assert (about["winding [deg C]"], about["current limit left [%]"]) == ("80", "100")
-    hot = axis_status(Winding(115.0, 3.0), 4.0)
+    hot = axis_status(Condition(115.0, 3.0, 0.0), 4.0)
     assert (hot.level, hot.message) == (DiagnosticStatus.WARN, "RUN/SPIN; hot winding: current limit derated to 75 %")
-    assert axis_status(Winding(115.0, 3.0), 2.5).level == DiagnosticStatus.OK, "limited by the host, not by temperature"
+    assert axis_status(Condition(115.0, 3.0, 0.0), 2.5).level == DiagnosticStatus.OK, (
+        "limited by the host, not by temperature"
+    )
     mask = Catalogue.load().flag("faults", "MOTOR_TEMPERATURE").mask
-    assert axis_status(Winding(145.0, 2.0), 4.0, mask).level == DiagnosticStatus.ERROR
+    assert axis_status(Condition(145.0, 2.0, 0.0), 4.0, mask).level == DiagnosticStatus.ERROR
+
+
+def test_an_oscillation_is_a_warning_with_its_frequency() -> None:
+    found = axis_status(Condition(40.0, 8.25, 236.0), 4.0)
+    assert (found.level, found.message) == (DiagnosticStatus.WARN, "RUN/SPIN; oscillation at 236 Hz")
+    assert {value.key: value.value for value in found.values}["oscillation [Hz]"] == "236"
+    stopped = axis_status(Condition(40.0, 8.25, 236.0), 4.0, Catalogue.load().flag("faults", "OSCILLATION").mask)
+    assert stopped.level == DiagnosticStatus.ERROR
+    assert "236 Hz" in stopped.message
 
 
 def test_a_winding_that_has_not_been_read_is_not_shown() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 from board_context_rig import board_context
-from servo_bridge.health import Winding
+from servo_bridge.health import Condition
 from servo_bridge.slow_values import SlowValues
 from servo_bridge.snapshot_events import SnapshotEvents
 from servo_bridge.telemetry import Snapshot
@@ -23,8 +23,8 @@ class Reads:
     def __init__(self) -> None:
         self.waiting: list[tuple[str, Future[Value]]] = []
         self.motors = 0
-        self.windings: list[Winding] = []
-        self.values = SlowValues(board_context(self._read), self._on_motors, self.windings.extend)
+        self.conditions: list[Condition] = []
+        self.values = SlowValues(board_context(self._read), self._on_motors, self.conditions.extend)
 
     def _read(self, name: str) -> Future[Value]:
         self.waiting.append((name, Future()))
@@ -57,11 +57,13 @@ def test_a_failed_read_is_ignored_and_the_next_one_is_used() -> None:
     reads = Reads()
     reads.values.read_counters()
     reads.answer(late_loops=1.0)
-    assert (reads.values.counters, reads.windings) == (None, [])
+    assert (reads.values.counters, reads.conditions) == (None, [])
     reads.values.read_counters()
-    reads.answer(late_loops=1.0, receiver_overruns=2.0, winding_temperature=40.0, winding_current=8.0)
+    reads.answer(
+        late_loops=1.0, receiver_overruns=2.0, winding_temperature=40.0, winding_current=8.0, oscillation=236.0
+    )
     assert reads.values.counters == {"late_loops": 1, "receiver_overruns": 2}
-    assert reads.windings == [Winding(40.0, 8.0)] * 2
+    assert reads.conditions == [Condition(40.0, 8.0, 236.0)] * 2
 
 
 def test_counters_have_at_most_one_pending_read() -> None:
