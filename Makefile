@@ -88,7 +88,7 @@ help: ## list the targets
 setup: $(VENV)/.native ## virtual environment with everything that runs
 	@echo "ready: $(BIN)"
 
-extras: $(VENV)/.extras ## Dask for `servo-sim --scheduler`, Optuna for `servo-sim tune-robust`
+extras: $(VENV)/.extras ## Dask for `servo-sim --scheduler`, Optuna for `tune-robust`, MuJoCo for `robot`
 
 demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png
 	@$(BIN)/servo-up --demo --out out
@@ -283,7 +283,7 @@ $(BOARDS): $(VENV)/.created $(NATIVE)
 	@touch $@
 
 $(VENV)/.extras: $(VENV)/.packages
-	@$(INSTALL) 'servo_twin[cluster,tune]'
+	@$(INSTALL) 'servo_twin[cluster,tune,mujoco]'
 	@touch $@
 
 # Descriptions of a chip by others, against which the tests check register definitions: files of two packages, whose programs

@@ -38,7 +38,7 @@ from servo_msgs_py import topics
 _SECOND: Final = 1.0  # period of /diagnostics and of slow readings [s]
 _TIMER_STOPPED: Final = 1.5
 """Time after which the samples replace the timer of this period: when the system clock is set back, the timers of a ROS
-built for an old C library stand still until it has the time of before [s]."""
+built for an old C library stop until the clock reaches its former time again [s]."""
 _SIGN_OF_LIFE: Final = 0.1  # period of the timer that shows that the executor runs [s]
 _BACKLOG_NS: Final = 100_000_000
 """A sample is part of a backlog if the newest one that waits is later by more [ns]."""

@@ -38,7 +38,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def warnings() -> Iterator[list[str]]:
     """Warnings of MuJoCo, which would be in a file otherwise."""
     texts: list[str] = []

@@ -22,6 +22,7 @@ from servo_twin.board import SimulationError
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.view import scene
+from servo_twin.view.recording import check_writable, import_rerun
 
 if TYPE_CHECKING:
     from servo_twin.robot.coupling import RobotDrives
@@ -135,7 +136,7 @@ def follow(
     robot: RobotModel,
     drives: RobotDrives,
     seconds: float | None = None,
-    watch: Callable[[float, Any], object] = lambda time, data: None,
+    watch: Callable[[float, Any], object] | None = None,
 ) -> RobotLog:
     """Search the rotors, home, and follow the keyframes.
 
@@ -173,7 +174,8 @@ def follow(
         time = data.time - begin
         data.ctrl[:] = motion(time + delays) + robot.corrections(data)
         drives.step()
-        watch(time + step, data)
+        if watch is not None:
+            watch(time + step, data)
         target = motion(np.full(model.nu, time + step))[drives.channels]
         volts = [board.truth(0).u_dc for board in drives.boards]
         rows.append((time + step, target, drives.lengths(), drives.speeds(), drives.torques(), volts))
@@ -208,16 +210,16 @@ def run(args: argparse.Namespace) -> int:
     )
     poses = None
     if args.rrd:
-        from servo_twin.robot.recording import Poses
+        from servo_twin.robot.recording import Poses, write_recording
 
+        import_rerun()
+        check_writable(args.rrd)
         poses = Poses(robot.model)
-    log = follow(robot, drives, args.time, *([] if poses is None else [poses.watch]))
+    log = follow(robot, drives, args.time, None if poses is None else poses.watch)
     found = figures(log, drives)
     if args.plot:
         _plot(log, drives, args.plot)
     if poses is not None:
-        from servo_twin.robot.recording import write_recording
-
         write_recording(args.rrd, robot.model, poses, log.time, curves(log, drives))
     if args.json:
         print(json.dumps(found))

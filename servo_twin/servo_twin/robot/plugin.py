@@ -40,7 +40,9 @@ def export_plugin(path: Path, plant: PlantConfig | None = None, seed: int = 1) -
     if found is None or found.origin is None:
         raise SimulationError("no package mujoco; install servo_twin[mujoco]")
     folder = Path(found.origin).parent
-    (library,) = folder.glob("libmujoco.so.*")
+    library = next(folder.glob("libmujoco.so.*"), None)
+    if library is None:
+        raise SimulationError(f"no libmujoco.so in {folder}; install the wheel: servo_twin[mujoco]")
     options: list[str | Path] = ["-isystem", folder / "include", library]
     shell = sorted((NATIVE / "mujoco").glob("*.c"))
     with exported_board(_LIBRARY, shell, plant, seed, options) as board, board.library.open("rb") as compiled:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.recording_names import PLOT
 
 from servo_twin.view import scene
-from servo_twin.view.recording import check_writable, import_rerun
+from servo_twin.view.recording import import_rerun
 
 FRAME: Final = 0.02
 """Time between two poses of the bodies [s]."""
@@ -57,7 +57,7 @@ def write_recording(
     Parameters
     ----------
     path : Path
-        File to be written.
+        File to be written; see `servo_twin.view.recording.check_writable`.
     model : mujoco.MjModel
         Its bodies are shown.
     poses : Poses
@@ -70,10 +70,9 @@ def write_recording(
     Raises
     ------
     RecordingError
-        If rerun is not installed, or the file cannot be written.
+        If rerun is not installed.
     """
     rr = import_rerun()
-    check_writable(path)
     with rr.RecordingStream(_APPLICATION) as stream:
         stream.set_sinks(rr.FileSink(str(path)), default_blueprint=_blueprint(curves))
         _log_shapes(rr, stream, model)
