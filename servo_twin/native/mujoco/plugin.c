@@ -53,12 +53,16 @@ static instance_t *instance_of(const mjData *d, int number)
     return own;
 }
 
-static void insert(instance_t *own)
+/* An mjData that was freed without plugin_destroy may have left an instance at this address: it is replaced and returned. */
+static instance_t *inserted(instance_t *own)
 {
     (void)pthread_mutex_lock(&mutex);
     instance_t **link = link_of(own->data, own->number);
+    instance_t *old = *link;
+    own->next = (old != NULL) ? old->next : NULL;
     *link = own;
     (void)pthread_mutex_unlock(&mutex);
+    return old;
 }
 
 static instance_t *removed(const mjData *d, int number)
@@ -178,7 +182,7 @@ static int plugin_init(const mjModel *m, mjData *d, int instance)
     }
     own->data = d;
     own->number = instance;
-    insert(own);
+    free_instance(inserted(own));
     return 0;
 }
 
