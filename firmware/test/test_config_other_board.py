@@ -112,8 +112,5 @@ def test_another_board_gives_the_same_values_with_other_scales(tmp_path: Path) -
     assert not own["fine"]
     assert "the file is for another board" in lab["default"]
     assert not own["default"]
-    assert (
-        lab["virtual"]
-        == f"there is no firmware and no model of the board lab yet; the virtual board is {DEFAULT_BOARD}"
-    )
+    assert f"there is no firmware and no model of the board lab yet; known are {DEFAULT_BOARD}" in lab["virtual"]
     assert not own["virtual"]
