@@ -107,6 +107,14 @@ def test_a_path_begins_at_the_held_positions_and_ends_at_its_target(rig: Rig) ->
     assert rig.follower.axes == frozenset()
 
 
+@pytest.mark.parametrize("goal", [[1.0, -2.0], [1.003, -2.0]])
+def test_a_path_that_hardly_moves_ends(rig: Rig, goal: list[float]) -> None:
+    rig.move(goal)
+    rig.sample(75)
+    assert len(rig.ends) == 1
+    assert rig.follower.axes == frozenset()
+
+
 def test_start_of_a_path_is_delayed_by_its_computing_time(rig: Rig) -> None:
     def plan(running: Path, now: float) -> Path:
         rig.time += 0.3
@@ -428,6 +436,15 @@ def test_path_is_not_repeated_after_its_joints_have_moved() -> None:
     late.rig.follower.points_accepted([0])
     late.wait()
     assert not late.rig.follower.postpone([1])
+
+
+def test_path_is_not_repeated_if_its_joints_are_back_at_its_begin() -> None:
+    times = [0.002 * k for k in range(1, 40)] + [1.0]
+    late = Late(["axis1"], times=times, goals=[*([1.01 if k == 2 else 1.0] for k in range(1, 40)), [2.0]])
+    late.rig.follower.points_accepted([0])
+    late.wait()
+    assert late.rig.follower.next_points() is not None
+    assert not late.rig.follower.postpone([0])
 
 
 def test_path_whose_second_write_comes_too_late_is_repeated_from_its_begin() -> None:

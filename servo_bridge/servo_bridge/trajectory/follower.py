@@ -141,7 +141,7 @@ class _Request:
     plannings: int = 0  # number of plannings in this attempt
     attempt: int = 0  # index in `_LEADS`
     lead: float = LEAD  # of the next planning [s]
-    repeatable: bool = False  # its joints had no path, and move by less than `_BEGIN` with the points on the board
+    repeatable: bool = False  # its joints had no path, and move by less than `_BEGIN` with its points on the board
 
 
 @dataclass
@@ -321,9 +321,10 @@ class Follower:
             one = self._axes[axis]
             if one.request is None or one.path is None or not one.request.repeatable:
                 continue
-            times = np.array([one.path.start_time, one.sent[-1] * PERIOD if one.sent else self.now])
+            times = np.array([one.path.start_time, *(tick * PERIOD for tick in one.sent or [self._now])])
             moved = np.ptp(one.path.continued(times).position, axis=0).max()
-            one.request.repeatable = not one.request.period and bool(moved < _BEGIN)
+            waiting = any(self._axes[other].waiting for other in one.request.axes)
+            one.request.repeatable = waiting and not one.request.period and bool(moved < _BEGIN)
 
     def postpone(self, axes: Collection[int]) -> bool:
         """Plan a path again with a longer lead, if the board has refused points of its begin that came too late.
