@@ -5,6 +5,7 @@ A process works with one board: `DEFAULT_BOARD`, or that of the environment vari
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -19,6 +20,9 @@ DEFAULT_BOARD: Final = "mc56f84789"
 
 VARIABLE: Final = "SERVO_BOARD"
 """Environment variable with the name of the board of this process, or with the file of its description, NAME.toml."""
+
+RANGES: Final = ("bus_voltage", "current")
+"""Measured quantities, by the names that variables.toml uses."""
 
 FIRMWARE: Final = "servo"
 """Name of the firmware. It reports ``servo/BOARD``, and before it knew the name of its board, ``servo``."""
@@ -45,24 +49,25 @@ class BoardDescription:
     over_current: float  # limit of a phase current that the port applies [A]; 0: the hardware has a comparator
     flash_sectors: int  # sectors for both copies of the stored set
     flash_sector_words: int  # 32-bit words of a sector
-    ranges: Mapping[str, float]  # full scales of the measured quantities, SI, by the names that variables.toml uses
+    ranges: Mapping[str, float]  # full scales of the quantities `RANGES`, SI
 
     def __post_init__(self) -> None:
-        for key in ("pwm_frequency", "timer_clock", "encoder_filter"):
-            if getattr(self, key) <= 0.0:
-                raise ValueError(f"{self.name}: {key} = {getattr(self, key)!r} is not above 0")
+        positive = {key: getattr(self, key) for key in ("pwm_frequency", "timer_clock", "encoder_filter")}
+        for key, value in {**positive, **{f"ranges.{name}": scale for name, scale in self.ranges.items()}}.items():
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{key} = {value!r} is not a finite number above 0")
         if not 0.0 <= self.dead_time < 0.5 * self.period:
-            raise ValueError(f"{self.name}: two dead times of {self.dead_time:g} s fill the PWM period")
+            raise ValueError(f"two dead times of {self.dead_time:g} s fill the PWM period")
         if self.shunts not in (2, 3):
-            raise ValueError(f"{self.name}: shunts = {self.shunts!r} is neither 2 nor 3")
+            raise ValueError(f"shunts = {self.shunts!r} is neither 2 nor 3")
         if not 0.0 <= self.low_side_time < self.period:
-            raise ValueError(f"{self.name}: low_side_time = {self.low_side_time:g} s is no part of the PWM period")
+            raise ValueError(f"low_side_time = {self.low_side_time:g} s is no part of the PWM period")
         if not 0.0 <= self.over_current < self.ranges["current"]:
-            raise ValueError(f"{self.name}: over_current = {self.over_current:g} A cannot be measured")
+            raise ValueError(f"over_current = {self.over_current:g} A cannot be measured")
         if self.flash_sectors < 2 or self.flash_sectors * self.flash_sector_words > 0x10000:
-            raise ValueError(f"{self.name}: {self.flash_sectors} sectors do not hold two copies of up to 65536 words")
+            raise ValueError(f"{self.flash_sectors} sectors do not hold two copies of up to 65536 words")
         if abs(1e9 * self.period - self.period_ns) > 1e-3:
-            raise ValueError(f"{self.name}: a PWM period of {self.period!r} s is no whole number of nanoseconds")
+            raise ValueError(f"a PWM period of {self.period!r} s is no whole number of nanoseconds")
 
     @property
     def period(self) -> float:
@@ -86,10 +91,18 @@ class BoardDescription:
         Raises
         ------
         ValueError
-            If an entry is missing, unknown or out of range.
+            If an entry is missing, unknown, no number or out of range; the message does not have the name.
         """
-        if wrong := sorted(({field.name for field in fields(cls)} - {"name"}) ^ set(table)):
-            raise ValueError(f"{name}: missing or unknown: {', '.join(wrong)}")
+        known = {field.name for field in fields(cls)} - {"name", "ranges"} | {f"ranges.{key}" for key in RANGES}
+        given = dict(table)
+        if isinstance(ranges := given.get("ranges"), Mapping):
+            del given["ranges"]
+            given |= {f"ranges.{key}": value for key, value in ranges.items()}
+        if wrong := sorted(known ^ set(given)):
+            raise ValueError(f"missing or unknown: {', '.join(wrong)}")
+        for key, value in given.items():
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ValueError(f"{key} = {value!r} is not a number")
         return cls(name=name, **table)
 
     @classmethod
@@ -107,7 +120,7 @@ class BoardDescription:
             raise OtherBoardError(f"there is no description of the board {name!r}; {_known()}")
         try:
             return cls.parse(path.stem, read_toml(path))
-        except (TypeError, ValueError) as error:
+        except ValueError as error:
             raise OtherBoardError(f"{path}: {error}") from None
 
 

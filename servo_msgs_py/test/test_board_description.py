@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, fields
+from pathlib import Path
+
 import pytest
 from servo_msgs_py.board_description import (
     DEFAULT_BOARD,
+    RANGES,
     BoardDescription,
     OtherBoardError,
     board_of,
     check_board,
     known_boards,
 )
+from servo_msgs_py.text_file import read_toml, toml_text
+
+from servo_msgs_py import units
 
 
 @pytest.mark.parametrize("name", known_boards())
@@ -18,6 +25,26 @@ def test_every_description_is_complete(name: str) -> None:
     board = BoardDescription.load(name)
     assert board.name == name
     assert all(full_scale > 0.0 for full_scale in board.ranges.values())
+
+
+@pytest.mark.parametrize("entry", [*(field.name for field in fields(BoardDescription)[1:]), *RANGES])
+@pytest.mark.parametrize("value", [None, "x"])
+def test_an_entry_that_is_missing_or_no_number_is_named(tmp_path: Path, entry: str, value: str | None) -> None:
+    table = asdict(BoardDescription.load(DEFAULT_BOARD))
+    del table["name"]
+    group = table["ranges"] if entry in RANGES else table
+    del group[entry]
+    group |= {} if value is None else {entry: value}
+    file = tmp_path / "mine.toml"
+    file.write_text(toml_text(table), encoding="utf-8")
+    with pytest.raises(OtherBoardError, match=f"mine.toml: .*{entry}") as refusal:
+        BoardDescription.load(str(file))
+    assert str(refusal.value).count("mine") == 1
+
+
+def test_the_variables_use_the_known_ranges() -> None:
+    scales = read_toml(Path(units.__file__).with_name("variables.toml"))["scales"].values()
+    assert {scale["range"] for scale in scales if "range" in scale} == set(RANGES)
 
 
 def test_an_unknown_board_is_refused_with_its_name_and_the_known_ones() -> None:
