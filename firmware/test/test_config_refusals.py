@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ from servo_tuning.errors import ConfigError
 from servo_tuning.findings import findings
 from servo_tuning.optional import PARTS
 from servo_tuning.passwords import password_constants
-from servo_tuning.reading import parse
+from servo_tuning.reading import parse, read_table
 from servo_tuning.remedies import explained
 from servo_tuning.source import c_source
 from servo_tuning.tuned import tuned
@@ -453,3 +454,27 @@ def test_invalid_passwords_are_refused(entries: dict[str, object], message: str)
     with pytest.raises(ConfigError, match=message) as error:
         password_constants(configuration(board__passwords=entries).board.passwords)
     assert "sesame" not in str(error.value)
+
+
+# ---- base of a file --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("files", [{"a": "a"}, {"a": "b", "b": "a"}, {"a": "b", "b": "c", "c": "b"}])
+def test_a_base_that_leads_back_to_its_file_is_refused(tmp_path: Path, files: dict[str, str]) -> None:
+    (tmp_path / "folder").mkdir()
+    for name, base in files.items():
+        (tmp_path / name).write_text(f'base = "folder/../{base}"\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"base = .* leads back to this file; remove it"):
+        read_table(tmp_path / "a")
+
+
+def test_a_base_that_is_missing_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text('base = "b"\n', encoding="utf-8")
+    with pytest.raises(FileNotFoundError, match=str(tmp_path / "b")):
+        read_table(tmp_path / "a")
+
+
+def test_a_table_within_a_table_changes_single_entries_of_its_base(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text('base = "b"\n[x.y]\nk = 1\n[z]\n', encoding="utf-8")
+    (tmp_path / "b").write_text("[x]\nm = 2\n[x.y]\nk = 3\nn = [4]\n[w]\n", encoding="utf-8")
+    assert read_table(tmp_path / "a") == {"x": {"m": 2, "y": {"k": 1, "n": [4]}}, "w": {}, "z": {}}

@@ -31,13 +31,20 @@ def load(path: Path, catalogue: Catalogue) -> Configuration:
     return parse(read_table(path), catalogue)
 
 
-def read_table(path: Path) -> dict[str, Any]:
+def read_table(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Parsed file. With an entry ``base`` it contains the differences from another file, relative to its own folder.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    seen : tuple of Path
+        Files whose base it is, resolved.
 
     Raises
     ------
     ConfigError
-        If it is not valid TOML.
+        If it is not valid TOML, or its base leads back to it.
     OSError
         If it cannot be read.
     """
@@ -46,7 +53,13 @@ def read_table(path: Path) -> dict[str, Any]:
     except TextFileError as error:
         raise ConfigError(str(error)) from None
     base = table.pop("base", None)
-    return table if base is None else _merged(read_table(path.parent / str(base)), table)
+    if base is None:
+        return table
+    seen = (*seen, path.resolve())
+    file = path.parent / str(base)
+    if file.resolve() in seen:
+        raise ConfigError(f"{path}: base = {str(base)!r} leads back to this file; remove it, or name another")
+    return _merged(read_table(file, seen), table)
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
