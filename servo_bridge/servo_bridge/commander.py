@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, merged, parameters, parse, si
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
-from servo_msgs_py.convert import parameters_from_message, snapshot_table
+from servo_msgs_py.convert import NO_FAULT, parameters_from_message, snapshot_table
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.robot_description import Motor, joints_of, motors_of
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
@@ -334,12 +334,12 @@ def _joint_lines(name: str, position: float, velocity: float, values: Mapping[st
     if "home state" in values:
         lines[0] += f", home state {values['home state']}"
     for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
-        if values.get(key, "none") != "none":
+        if values.get(key, NO_FAULT) != NO_FAULT:
             lines.append(f"    {heading} {values[key]}")
     remaining = values.get("current limit left [%]", "100")
-    if remaining != "100":
+    if float(remaining) < 100.0:
         lines.append(f"    winding at {values['winding [deg C]']} deg C: current limit derated to {remaining} %")
-    if values.get("oscillation [Hz]", "none") != "none":
+    if float(values.get("oscillation [Hz]", 0.0)):
         lines.append(f"    oscillation at {values['oscillation [Hz]']} Hz since it was enabled")
     return lines
 

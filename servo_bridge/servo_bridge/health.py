@@ -211,7 +211,7 @@ class Health:
         if condition is not None:
             values["winding [deg C]"] = _number(condition.temperature)
             values["current limit left [%]"] = _number(100.0 * remaining)
-            values["oscillation [Hz]"] = _number(oscillation) if oscillation else "none"
+            values["oscillation [Hz]"] = _number(oscillation)
         derated = f"; hot winding: current limit derated to {100.0 * remaining:.0f} %" if remaining < 1.0 else ""
         swinging = f"; oscillation at {oscillation:.0f} Hz" if oscillation else ""
         message = "; ".join(faults) or status.label + at_limit + derated

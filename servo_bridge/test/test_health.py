@@ -63,7 +63,10 @@ def test_hot_winding_is_a_warning_with_the_derated_current() -> None:
 def test_an_oscillation_is_a_warning_with_its_frequency() -> None:
     found = axis_status(Condition(40.0, 8.25, 236.0), 4.0)
     assert (found.level, found.message) == (DiagnosticStatus.WARN, "RUN/SPIN; oscillation at 236 Hz")
-    assert {value.key: value.value for value in found.values}["oscillation [Hz]"] == "236"
+    quiet = axis_status(Condition(40.0, 8.25, 0.0), 4.0)
+    texts = [{value.key: value.value for value in status.values}["oscillation [Hz]"] for status in (found, quiet)]
+    assert texts == ["236", "0"]
+    assert quiet.level == DiagnosticStatus.OK
     stopped = axis_status(Condition(40.0, 8.25, 236.0), 4.0, Catalogue.load().flag("faults", "OSCILLATION").mask)
     assert stopped.level == DiagnosticStatus.ERROR
     assert "236 Hz" in stopped.message
