@@ -782,9 +782,13 @@ def test_any_current_is_counted_without_overflow(rig: Diagnosis, seed: int) -> N
     random = np.random.default_rng(seed)
     swing = int(random.integers(0, 32768))
     extremes = random.choice([-32768, -1, 0, 1, 32767], 1000)
+    monitor, swings = rig.monitors.oscillation, []
     for x in np.where(random.random(1000) < 0.5, extremes, random.integers(-32768, 32768, 1000)):
+        falling, between = monitor.falling, abs(monitor.extreme - monitor.opposite)
         rig.oscillation(int(x), swing)
-        monitor = rig.monitors.oscillation
         assert monitor.pause <= 21
         assert monitor.turns <= monitor.ticks <= 400
-        assert monitor.swing <= 65535
+        if monitor.falling != falling:
+            assert monitor.swing == between
+            swings.append(between)
+    assert max(swings) > 32767
