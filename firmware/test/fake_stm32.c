@@ -74,13 +74,22 @@ static uint32_t exchange(fake_chip_t *chip, uint32_t frame)
     return 0xFFFFU;
 }
 
+static void interrupt(fake_chip_t *chip)
+{
+    if (chip->interrupt != NULL && !chip->masked) {
+        chip->interrupt(chip);
+    }
+}
+
 uint32_t chip_read(struct chip *chip, uint32_t address)
 {
+    interrupt(chip);
     uint32_t value = *word(chip, address);
     if (address == DWT_BASE + DWT_CYCCNT) {
         *word(chip, address) += chip->clocks_per_read;
     }
     enter(chip, FAKE_READ, address, value);
+    interrupt(chip);
     return value;
 }
 
@@ -109,6 +118,7 @@ static void effect(fake_chip_t *chip, uint32_t address, uint32_t value)
 void chip_write(struct chip *chip, uint32_t address, uint32_t value)
 {
     uint32_t *reg = word(chip, address);
+    interrupt(chip);
     enter(chip, FAKE_WRITE, address, value);
     if (address == EXTI_BASE + EXTI_PR) {
         *reg &= ~value;
@@ -121,12 +131,28 @@ void chip_write(struct chip *chip, uint32_t address, uint32_t value)
         *reg = (value & ~kept) | (*reg & kept);
         effect(chip, address, value);
     }
-    if (chip->at_write != NULL) {
-        chip->at_write(chip, address, value);
-    }
+    interrupt(chip);
 }
 
-void chip_interrupts(struct chip *chip, bool on) { enter(chip, FAKE_INTERRUPTS, 0, on); }
+void chip_interrupts(struct chip *chip, bool on)
+{
+    chip->masked = !on;
+    enter(chip, FAKE_INTERRUPTS, 0, on);
+}
+
+uint32_t chip_interrupts_off(struct chip *chip)
+{
+    const bool before = chip->masked;
+    interrupt(chip);
+    chip->masked = true;
+    return before;
+}
+
+void chip_interrupts_restore(struct chip *chip, uint32_t before)
+{
+    chip->masked = before != 0U;
+    interrupt(chip);
+}
 
 /* ---- application ------------------------------------------------------------------------------------------------ */
 

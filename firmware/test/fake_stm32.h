@@ -34,7 +34,8 @@ typedef struct chip {
     int lost_writes;          /* frames that the drivers do not take */
     bool takes_edge;          /* the application takes a captured edge in servo_edge_isr */
     edge_capture_t taken;
-    void (*at_write)(struct chip *chip, uint32_t address, uint32_t value); /* an interrupt behind a write */
+    bool masked;                            /* interrupts are off */
+    void (*interrupt)(struct chip *chip);     /* before and behind each access, unless they are off */
 } fake_chip_t;
 
 fake_chip_t *fake_new(void);

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import count
+
 import pytest
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stm32_board import (
     BREAK,
+    CYCCNT,
     DMA1,
     DMA2,
     EDGE,
@@ -48,6 +52,27 @@ def board(compile_c: CompileC, folder: object) -> Stm32Board:
 def background(board: Stm32Board, seconds: float = 0.0) -> None:
     board.pass_time(seconds)
     board.lib.port_background(board.hal)
+
+
+def interrupted(board: Stm32Board, at: int, call: Callable[[], object], handler: Callable[[], object]) -> bool:
+    """Call something that a handler interrupts once, at the place with a number; false if there are less places.
+
+    Places are before and behind each access of a register, and at both ends of a section without interrupts.
+    """
+    places = done = 0
+
+    def interrupt(_: object) -> None:
+        nonlocal places, done
+        if places >= at and not done:
+            done = 1
+            handler()
+        places += 1
+
+    callback = board.ffi.callback("void(struct chip *)", interrupt)
+    board.chip.interrupt = callback
+    call()
+    board.chip.interrupt = board.ffi.NULL
+    return bool(done)
 
 
 # ---- start ---------------------------------------------------------------------------------------------------------
@@ -261,6 +286,37 @@ def test_a_lasting_fault_pulses_the_enable_line_and_stays_a_fault(board: Stm32Bo
     assert board.lib.hal_over_current_active(board.hal, 0)
 
 
+def short_fault(board: Stm32Board) -> None:
+    fault(board)
+    board[GPIO["D"] + 0x10] |= FAULT_PIN
+
+
+def test_a_fault_while_the_drivers_are_set_up_is_not_lost(board: Stm32Board) -> None:
+    short_fault(board)
+    for at in count(2):  # behind the read of the clock: the faults before are those that the attempt is to clear
+        if not interrupted(board, at, lambda: background(board, 0.03), lambda: short_fault(board)):
+            break
+        for axis in (0, 1):
+            board.lib.hal_over_current_clear(board.hal, axis)
+            assert board.lib.hal_over_current_active(board.hal, axis)
+    assert at > 100
+    board.lib.hal_over_current_clear(board.hal, 0)
+    assert not board.lib.hal_over_current_active(board.hal, 0)
+
+
+def test_a_fault_while_an_over_current_is_cleared_is_not_lost(board: Stm32Board) -> None:
+    lib, hal = board.lib, board.hal
+    for at in count():
+        board.sample(0, 2048 + LIMIT + 1, 2048)
+        if not interrupted(board, at, lambda: lib.hal_over_current_clear(hal, 0), lambda: short_fault(board)):
+            break
+        background(board, 0.03)
+        assert hal.gate == lib.GATE_READY
+        assert lib.hal_over_current_active(hal, 0)
+    assert at
+    assert not lib.hal_over_current_active(hal, 0)
+
+
 @pytest.mark.parametrize(("register", "value"), [(0, 1 << 6), (2, 0), (3, 0), (1, 1 << 7)])
 def test_registers_that_a_loss_of_supply_has_changed_are_a_fault(board: Stm32Board, register: int, value: int) -> None:
     board.chip.driver[1][register] = value
@@ -457,6 +513,48 @@ def test_the_age_of_an_edge_stays_too_long_when_the_clocks_begin_anew(board: Stm
     lib.hal_capture_arm(hal, 0)
     edge(board, 0, raw=2, clock=2000)
     assert lib.hal_edge_age(hal, 0) == 0
+
+
+def test_an_edge_during_the_reads_of_the_age_makes_no_age_too_long(board: Stm32Board) -> None:
+    board.chip.clocks_per_read = 0
+    lib, hal, ages = board.lib, board.hal, list[int]()
+    for at in count():
+        for age in (100, 0):
+            lib.hal_capture_arm(hal, 0)
+            edge(board, 0, raw=age, clock=256 * (1000 - age))
+        lib.hal_capture_arm(hal, 0)
+        board[CYCCNT] = 256 * 1100
+        if not interrupted(
+            board,
+            at,
+            lambda: ages.append(lib.hal_edge_age(hal, 0)),
+            lambda: edge(board, 0, raw=200, clock=256 * 1103),
+        ):
+            break
+        assert ages[-1] <= 103
+        assert lib.hal_edge_age(hal, 0) <= 3
+    assert at
+
+
+def test_a_loop_that_interrupts_the_edge_handler_takes_the_edge_or_finds_none(board: Stm32Board) -> None:
+    lib, hal = board.lib, board.hal
+    capture, taken = board.ffi.new("edge_capture_t *"), list[bool]()
+
+    def loop() -> None:
+        taken.append(lib.hal_capture_take(hal, 0, capture))
+        lib.hal_capture_arm(hal, 0)
+
+    for at in count():
+        taken.clear()
+        lib.hal_capture_arm(hal, 0)
+        edge(board, 0, raw=3, clock=512)
+        if not interrupted(board, at, lambda: taken.append(lib.hal_capture_take(hal, 0, capture)), loop):
+            break
+        assert sorted(taken) == [False, True]
+        edge(board, 0, raw=5, clock=1024)
+        assert lib.hal_capture_take(hal, 0, capture)
+        assert (capture.count, capture.time) == (5, 4)
+    assert at
 
 
 def test_an_edge_of_the_other_axis_during_arming_is_not_captured_twice(board: Stm32Board) -> None:

@@ -116,41 +116,40 @@ void port_edge(hal_t *hal)
     }
 }
 
-/* Count of the encoder at the edge, from a pair of counts that belong together: a loop may interrupt the reads. */
+/* Count of the encoder at the edge, from a pair of counts that belong together. */
 static uint16_t count_at_edge(const port_axis_t *state)
 {
-    uint16_t raw, count;
-    do {
-        raw = *(const volatile uint16_t *)&state->raw;
-        count = *(const volatile uint16_t *)&state->count;
-    } while (raw != *(const volatile uint16_t *)&state->raw);
-    const int32_t moved = (int32_t)(int16_t)count + (int16_t)(uint16_t)(state->edge_raw - raw);
+    const int32_t moved = (int32_t)(int16_t)state->count + (int16_t)(uint16_t)(state->edge_raw - state->raw);
     return (uint16_t)wrapped(moved, state->period);
 }
 
-/* A loop may interrupt the edge handler here, take the capture and arm again: the capture then belongs to the loop. */
+/* The edge handler, and a loop that may interrupt it, take captures: each edge belongs to one of them. */
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
 {
     port_axis_t *state = &hal->axis[axis];
-    if (!state->armed || !state->captured) {
-        return false;
+    const uint32_t before = INTERRUPTS_OFF(hal);
+    const bool taken = state->armed && state->captured;
+    if (taken) {
+        capture->count = count_at_edge(state);
+        capture->time = (uint16_t)(state->edge_at >> STAMP_SHIFT);
+        state->armed = false;
     }
-    const uint32_t at = state->edge_at;
-    capture->count = count_at_edge(state);
-    capture->time = (uint16_t)(at >> STAMP_SHIFT);
-    if (!state->armed || !state->captured || state->edge_at != at) {
-        return false;
-    }
-    state->armed = false;
-    return true;
+    INTERRUPTS_RESTORE(hal, before);
+    return taken;
 }
 
-/* The count of clocks begins anew every 25 s: an age that was too long once stays so until the next edge. */
+/* The count of clocks begins anew every 25 s: an age that was too long once stays so until the next edge. The clock is
+ * read behind the time of the edge, which port_stamp may change: no age is negative. */
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 {
     port_axis_t *state = &hal->axis[axis];
-    const uint16_t edges = state->edges;
-    const uint32_t age = (clocks(hal) - state->edge_at) >> STAMP_SHIFT;
+    uint16_t edges;
+    uint32_t at;
+    do {
+        edges = state->edges;
+        at = state->edge_at;
+    } while (edges != state->edges);
+    const uint32_t age = (clocks(hal) - at) >> STAMP_SHIFT;
     if (age >= HAL_EDGE_AGE_OVERFLOW) {
         state->edges_old = edges;
     }

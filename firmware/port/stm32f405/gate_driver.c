@@ -62,14 +62,21 @@ static void enable_again(hal_t *hal)
     hal->gate_checked = clocks(hal);
 }
 
+/* A fault that the drivers report meanwhile ends the attempt. */
 static void try_start(hal_t *hal)
 {
-    if (set_up(hal)) {
-        hal->gate_checked = clocks(hal);
-        hal->gate = GATE_READY;
-    } else {
+    hal->gate = GATE_STARTING;
+    if (!set_up(hal)) {
+        hal->gate = GATE_FAILED;
         enable_again(hal);
+        return;
     }
+    hal->gate_checked = clocks(hal);
+    const uint32_t before = INTERRUPTS_OFF(hal);
+    if (hal->gate == GATE_STARTING) {
+        hal->gate = GATE_READY;
+    }
+    INTERRUPTS_RESTORE(hal, before);
 }
 
 /* Without a supply of the bus the drivers do not start: the background tries again, and the over-current of both axes
@@ -125,10 +132,12 @@ void gate_service(hal_t *hal)
 
 bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].tripped || hal->gate != GATE_READY; }
 
-/* The limit in software trips again at the next sample, the drivers' by their line. */
+/* The limit in software trips again at the next sample, the drivers' by their line: not between test and clearing. */
 void hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
+    const uint32_t before = INTERRUPTS_OFF(hal);
     if (hal->gate == GATE_READY && pin_is_high(hal, PORT_D, PIN_FAULT)) {
         hal->axis[axis].tripped = false;
     }
+    INTERRUPTS_RESTORE(hal, before);
 }

@@ -21,6 +21,7 @@ typedef struct {
 typedef enum {
     GATE_FAILED, /* not started, or the drivers have reported a fault */
     GATE_READY,
+    GATE_STARTING, /* being set up, and no fault since */
 } gate_state_t;
 
 typedef struct {
