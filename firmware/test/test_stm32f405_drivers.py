@@ -317,6 +317,15 @@ def test_a_fault_while_an_over_current_is_cleared_is_not_lost(board: Stm32Board)
     assert not lib.hal_over_current_active(hal, 0)
 
 
+def test_drivers_that_have_not_started_keep_the_switches_open(compile_c: CompileC, folder: object) -> None:
+    board = Stm32Board(compile_c, folder, initialised=False)  # type: ignore[arg-type]
+    board.chip.lost_writes = 1_000_000  # no supply of the bus
+    assert board.init()
+    for axis in (0, 1):
+        board.lib.hal_pwm_enable(board.hal, axis, True)
+        assert not board.is_on(axis)
+
+
 @pytest.mark.parametrize(("register", "value"), [(0, 1 << 6), (2, 0), (3, 0), (1, 1 << 7)])
 def test_registers_that_a_loss_of_supply_has_changed_are_a_fault(board: Stm32Board, register: int, value: int) -> None:
     board.chip.driver[1][register] = value

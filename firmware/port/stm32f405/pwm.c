@@ -79,15 +79,19 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
 
 void switches_open(hal_t *hal, uint16_t axis) { REG_WRITE(hal, hal->axis[axis].pwm + TIM_BDTR, SET_PWM_BDTR_OFF); }
 
-static bool locked(const port_axis_t *axis) { return axis->tripped || (axis->enable_used && axis->opened); }
+/* Without a bus supply the drivers have not started, although nothing has tripped. */
+static bool locked(const hal_t *hal, const port_axis_t *axis)
+{
+    return hal->gate != GATE_READY || axis->tripped || (axis->enable_used && axis->opened);
+}
 
 /* An interrupt above this one may open the switches between the test and the write: test again. */
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
 {
     const port_axis_t *state = &hal->axis[axis];
-    if (on && !locked(state)) {
+    if (on && !locked(hal, state)) {
         REG_WRITE(hal, state->pwm + TIM_BDTR, SET_PWM_BDTR_ON);
-        if (!locked(state)) {
+        if (!locked(hal, state)) {
             return;
         }
     }
