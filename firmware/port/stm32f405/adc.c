@@ -9,7 +9,7 @@ static const uint32_t bases[] = {ADC1_BASE, ADC2_BASE, ADC3_BASE};
 
 /* ---- set up ----------------------------------------------------------------------------------------------------- */
 
-bool adc_init(hal_t *hal)
+void adc_init(hal_t *hal)
 {
     REG_WRITE(hal, ADC_COMMON_BASE + ADC_COMMON_CCR, SET_ADC_COMMON_CCR);
     for (uint16_t i = 0; i < sizeof bases / sizeof bases[0]; i++) {
@@ -31,25 +31,18 @@ bool adc_init(hal_t *hal)
     REG_WRITE(hal, ADC3_BASE + ADC_SQR1, SET_ADC_SQR1_TWO);
     REG_WRITE(hal, ADC3_BASE + ADC_SQR3, SET_ADC_SQR3(CHANNEL_M2_C, CHANNEL_M1_C));
     wait_clocks(hal, CLOCKS_OF_US(START_US));
-    for (uint16_t i = 0; i < sizeof bases / sizeof bases[0]; i++) {
-        if ((REG_READ(hal, bases[i] + ADC_CR2) & ADC_CR2_ADON) == 0U) {
-            return false;
-        }
-    }
-    return true;
 }
 
 /* A stream of two words in a circle. */
-static bool stream_start(hal_t *hal, uint32_t stream, uint32_t set, uint32_t from, const volatile uint16_t *to)
+static void stream_start(hal_t *hal, uint32_t stream, uint32_t set, uint32_t from, const volatile uint16_t *to)
 {
     REG_WRITE(hal, DMA2_BASE + DMA_SCR(stream), 0U);
-    const bool stopped = wait_for(hal, DMA2_BASE + DMA_SCR(stream), DMA_SCR_EN, 0U);
+    (void)wait_for(hal, DMA2_BASE + DMA_SCR(stream), DMA_SCR_EN, 0U);
     REG_WRITE(hal, DMA2_BASE + DMA_IFCR(stream), DMA_ISR_ALL(stream));
     REG_WRITE(hal, DMA2_BASE + DMA_SPAR(stream), from + ADC_DR);
     REG_WRITE(hal, DMA2_BASE + DMA_SM0AR(stream), BUS_ADDRESS(to));
     REG_WRITE(hal, DMA2_BASE + DMA_SNDTR(stream), 2U);
     REG_WRITE(hal, DMA2_BASE + DMA_SCR(stream), set | DMA_SCR_EN);
-    return stopped;
 }
 
 /* After this call the next triggers begin their sequences. An overrun ends the requests to DMA until they are switched
@@ -60,8 +53,8 @@ void adc_arm(hal_t *hal)
         REG_WRITE(hal, bases[i] + ADC_CR2, ADC_CR2_ADON);
         REG_WRITE(hal, bases[i] + ADC_SR, 0U);
     }
-    (void)stream_start(hal, STREAM_ADC2, SET_DMA_ADC2, ADC2_BASE, hal->dma->adc2);
-    (void)stream_start(hal, STREAM_ADC3, SET_DMA_ADC3, ADC3_BASE, hal->dma->adc3);
+    stream_start(hal, STREAM_ADC2, SET_DMA_ADC2, ADC2_BASE, hal->dma->adc2);
+    stream_start(hal, STREAM_ADC3, SET_DMA_ADC3, ADC3_BASE, hal->dma->adc3);
     REG_WRITE(hal, ADC1_BASE + ADC_CR2, SET_ADC1_CR2);
     REG_WRITE(hal, ADC2_BASE + ADC_CR2, SET_ADC_CR2_PHASES);
     REG_WRITE(hal, ADC3_BASE + ADC_CR2, SET_ADC_CR2_PHASES);

@@ -40,7 +40,7 @@ void switches_open(hal_t *hal, uint16_t axis); /* at once, from any interrupt */
 
 void brake_init(hal_t *hal);
 
-bool adc_init(hal_t *hal);
+void adc_init(hal_t *hal);
 void adc_arm(hal_t *hal);
 bool adc_take_m1(hal_t *hal); /* results of t0; false if they are not complete */
 bool adc_take_m2(hal_t *hal); /* results of t2 */

@@ -7,8 +7,8 @@
 
 #include "port/stm32f405/hal_data.h"
 
-/* False if the clock, a converter or a carrier does not start: the switches stay open, and the watchdog will try
- * again. */
+/* False if the clock or a carrier does not start. Then, or without results of the converters, the switches stay open,
+ * and the watchdog will try again. */
 bool port_init(hal_t *hal, servo_t *servo, const servo_config_t *config);
 
 void port_background(hal_t *hal);

@@ -49,7 +49,8 @@ static bool peripherals_init(hal_t *hal)
     encoders_init(hal);
     serial_init(hal);
     gate_start(hal);
-    return adc_init(hal);
+    adc_init(hal);
+    return true;
 }
 
 /* The first trigger behind adc_arm() is that of motor 1: motor 2's has passed since the carriers have started. */

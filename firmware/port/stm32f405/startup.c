@@ -98,6 +98,6 @@ int main(void)
             wait_for_interrupt();
         }
     }
-    for (;;) { /* no clock, no converter or no carrier: the watchdog resets the board, which tries again */
+    for (;;) { /* no clock or no carrier: the watchdog resets the board, which tries again */
     }
 }
