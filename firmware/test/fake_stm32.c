@@ -62,6 +62,9 @@ static uint32_t exchange(fake_chip_t *chip, uint32_t frame)
             const uint32_t answer = chip->answer[driver];
             if ((frame & 0x8000U) != 0U) {
                 chip->answer[driver] = chip->driver[driver][address];
+                if (address == 0U) {
+                    chip->driver[driver][address] = 0;
+                }
             } else if (chip->lost_writes > 0) {
                 chip->lost_writes--;
             } else {
@@ -97,9 +100,13 @@ static void effect(fake_chip_t *chip, uint32_t address, uint32_t value)
 {
     uint32_t *reg = word(chip, address);
     if (address == RCC_BASE + RCC_CR) {
-        *reg |= (value & (RCC_CR_HSEON | RCC_CR_PLLON)) << 1;
+        if (FIELD_GET(fake_get(chip, RCC_BASE + RCC_CFGR), RCC_CFGR_SWS) == RCC_CFGR_SWS_PLL) {
+            *reg |= RCC_CR_PLLON;
+        }
+        *reg &= ~(RCC_CR_HSIRDY | RCC_CR_HSERDY | RCC_CR_PLLRDY);
+        *reg |= (*reg & (RCC_CR_HSION | RCC_CR_HSEON | RCC_CR_PLLON)) << 1;
     } else if (address == RCC_BASE + RCC_CFGR) {
-        *reg |= RCC_CFGR_SWS(value);
+        *reg = (value & ~FIELD_MASK(RCC_CFGR_SWS)) | RCC_CFGR_SWS(value);
     } else if ((address & ~UINT32_C(0xC1F)) == GPIOA_BASE && (address & 0x3FFU) == GPIO_BSRR) {
         uint32_t *odr = word(chip, address - GPIO_BSRR + GPIO_ODR);
         *odr = (*odr & ~(value >> 16)) | (value & 0xFFFFU);
@@ -126,6 +133,8 @@ void chip_write(struct chip *chip, uint32_t address, uint32_t value)
         *word(chip, address - 8U) &= ~value;
     } else if ((address & 0xFFFFF8FFU) == ADC1_BASE && address != ADC_COMMON_BASE) {
         *reg &= value;
+    } else if (address == RCC_BASE + RCC_PLLCFGR && (fake_get(chip, RCC_BASE + RCC_CR) & RCC_CR_PLLON) != 0U) {
+        return;
     } else {
         const uint32_t kept = (address == TIM1_BASE + TIM_CR1 || address == TIM8_BASE + TIM_CR1) ? TIM_CR1_DIR : 0U;
         *reg = (value & ~kept) | (*reg & kept);

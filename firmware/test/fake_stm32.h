@@ -1,7 +1,8 @@
 /* fake_stm32.h - the STM32F405 port without a chip: registers with memory, and a list of all accesses in order.
  *
- * A read returns the last value written or set. Effects of accesses: clocks come up, TIM1 starts TIM8, flags are
- * cleared as on the chip, BSRR changes ODR, each read of CYCCNT takes some clocks, and two gate drivers answer on SPI3.
+ * A read returns the last value written or set. Effects of accesses: clocks come up and lock their settings, TIM1 starts TIM8, flags are
+ * cleared as on the chip, BSRR changes ODR, each read of CYCCNT takes some clocks, and two gate drivers answer on SPI3:
+ * reading their status clears it.
  * Calls of the application (app/servo.h) are also in the list.
  */
 #ifndef FAKE_STM32_H

@@ -335,6 +335,16 @@ def test_registers_that_a_loss_of_supply_has_changed_are_a_fault(board: Stm32Boa
     assert board[EXTI + 0x14] & FAULT_LINE
 
 
+def test_the_cause_of_a_fault_is_kept_for_a_debugger(board: Stm32Board) -> None:
+    board.chip.driver[1][0] = 1 << 6
+    background(board, 0.11)  # reads it
+    assert board[EXTI + 0x14] & FAULT_LINE
+    short_fault(board)
+    background(board, 0.03)
+    assert board.hal.gate == board.lib.GATE_READY
+    assert list(board.hal.gate_status) == [0, 1 << 6]
+
+
 def test_a_low_line_without_an_edge_is_a_fault(board: Stm32Board) -> None:
     board[GPIO["D"] + 0x10] &= ~FAULT_PIN
     background(board)

@@ -24,20 +24,30 @@ static uint16_t read(hal_t *hal, uint16_t driver, uint32_t address)
     return (uint16_t)(frame(hal, driver, DRV_READ(address)) & DRV_DATA);
 }
 
+/* Reading the status clears it. */
+static bool reports_none(hal_t *hal, uint16_t driver)
+{
+    const uint16_t status = read(hal, driver, DRV_STATUS_1);
+    if (status != 0U) {
+        hal->gate_status[driver] = status;
+    }
+    return status == 0U;
+}
+
 static bool as_set(hal_t *hal, uint16_t driver)
 {
     return read(hal, driver, DRV_CONTROL_1) == SET_DRV_CONTROL_1 &&
-           read(hal, driver, DRV_CONTROL_2) == SET_DRV_CONTROL_2 && read(hal, driver, DRV_STATUS_1) == 0U &&
+           read(hal, driver, DRV_CONTROL_2) == SET_DRV_CONTROL_2 && reports_none(hal, driver) &&
            (read(hal, driver, DRV_STATUS_2) & DRV_STATUS_2_GVDD_OV) == 0U;
 }
 
 /* ---- start ------------------------------------------------------------------------------------------------------ */
 
-/* Clear the latches and set both drivers up; true if both say so and report no fault. Reading the status clears it. */
+/* Clear the latches and set both drivers up; true if both say so and report no fault. */
 static bool set_up(hal_t *hal)
 {
     for (uint16_t driver = 0; driver < HAL_AXES; driver++) {
-        hal->gate_status[driver] = read(hal, driver, DRV_STATUS_1);
+        (void)reports_none(hal, driver);
         (void)frame(hal, driver, DRV_WRITE(DRV_CONTROL_1, SET_DRV_CONTROL_1 | DRV_CONTROL_1_GATE_RESET));
         for (uint16_t i = 0; i < DRV_WRITES; i++) {
             (void)frame(hal, driver, DRV_WRITE(DRV_CONTROL_1, SET_DRV_CONTROL_1));

@@ -66,7 +66,7 @@ struct hal {
 
     volatile gate_state_t gate;
     uint32_t gate_checked; /* core clocks at the last check of the gate drivers */
-    uint16_t gate_status[HAL_AXES]; /* status register 1 at the last fault, for a debugger */
+    uint16_t gate_status[HAL_AXES]; /* status register 1 when it was last not 0, for a debugger */
 
     uint16_t receive_out; /* bytes taken from the ring of received bytes, modulo 65536 */
     uint16_t receive_laps; /* times that DMA has filled the ring, modulo 65536 */
