@@ -107,6 +107,15 @@ def test_the_start_has_the_safe_order(compile_c: CompileC, folder: object) -> No
     assert (board[IWDG + 4], board[IWDG + 8]) == (0, 400)  # 50 ms of 32 kHz / 4
 
 
+def test_a_pll_that_the_boot_loader_has_left_on_gets_its_settings(compile_c: CompileC, folder: object) -> None:
+    board = Stm32Board(compile_c, folder, initialised=False)  # type: ignore[arg-type]
+    board[0x4002_3800], board[0x4002_3804], board[0x4002_3808] = 0x030B_0083, 0x2740_1E04, 0x100A
+    assert board.init()
+    assert board[0x4002_3804] == 0x0740_2A04
+    assert board[0x4002_3800] & 0x030B_0003 == 0x030B_0003
+    assert board[0x4002_3808] & 0xFCFF == 0x940A
+
+
 def test_both_carriers_are_half_a_period_apart_and_start_together(board: Stm32Board) -> None:
     for tim in TIM:
         assert board[tim + 0x2C] == TOP

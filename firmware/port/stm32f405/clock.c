@@ -27,10 +27,30 @@ static void start_counter(hal_t *hal)
     REG_WRITE(hal, DWT_BASE + DWT_CTRL, REG_READ(hal, DWT_BASE + DWT_CTRL) | DWT_CTRL_CYCCNTENA);
 }
 
+/* Back to the internal oscillator. A boot loader may have left the PLL on, as the system clock: then it cannot be
+ * switched off, and while it is on, its settings and the voltage scale cannot be changed. */
+static bool leave_pll(hal_t *hal)
+{
+    const uint32_t cr = REG_READ(hal, RCC_BASE + RCC_CR) | RCC_CR_HSION;
+    REG_WRITE(hal, RCC_BASE + RCC_CR, cr);
+    if (!wait_for(hal, RCC_BASE + RCC_CR, RCC_CR_HSIRDY, RCC_CR_HSIRDY)) {
+        return false;
+    }
+    REG_WRITE(hal, RCC_BASE + RCC_CFGR, 0U);
+    if (!wait_for(hal, RCC_BASE + RCC_CFGR, FIELD_MASK(RCC_CFGR_SWS), RCC_CFGR_SWS(RCC_CFGR_SW_HSI))) {
+        return false;
+    }
+    REG_WRITE(hal, RCC_BASE + RCC_CR, cr & ~(RCC_CR_PLLON | RCC_CR_CSSON));
+    return wait_for(hal, RCC_BASE + RCC_CR, RCC_CR_PLLRDY, 0U);
+}
+
 /* Wait states and dividers before the higher clock. A failure of the crystal raises the non-maskable interrupt. */
 bool clock_init(hal_t *hal)
 {
     start_counter(hal);
+    if (!leave_pll(hal)) {
+        return false;
+    }
     REG_WRITE(hal, RCC_BASE + RCC_AHB1ENR, SET_RCC_AHB1ENR);
     REG_WRITE(hal, RCC_BASE + RCC_APB1ENR, SET_RCC_APB1ENR);
     REG_WRITE(hal, RCC_BASE + RCC_APB2ENR, SET_RCC_APB2ENR);
