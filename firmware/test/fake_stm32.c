@@ -4,6 +4,7 @@
 
 #include "port/stm32f405/access.h"
 #include "port/stm32f405/registers.h"
+#include "port/stm32f405/settings.h"
 
 typedef struct {
     fake_chip_t chip;
@@ -88,8 +89,8 @@ uint32_t chip_read(struct chip *chip, uint32_t address)
 {
     interrupt(chip);
     uint32_t value = *word(chip, address);
-    if (address == DWT_BASE + DWT_CYCCNT) {
-        *word(chip, address) += chip->clocks_per_read;
+    if (address == TIM5_BASE + TIM_CNT) {
+        *word(chip, address) += chip->clocks_per_read / TIM5_CLOCKS;
     }
     enter(chip, FAKE_READ, address, value);
     interrupt(chip);

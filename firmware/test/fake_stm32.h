@@ -1,7 +1,7 @@
 /* fake_stm32.h - the STM32F405 port without a chip: registers with memory, and a list of all accesses in order.
  *
  * A read returns the last value written or set. Effects of accesses: clocks come up and lock their settings, TIM1 starts TIM8, flags are
- * cleared as on the chip, BSRR changes ODR, each read of CYCCNT takes some clocks, and two gate drivers answer on SPI3:
+ * cleared as on the chip, BSRR changes ODR, each read of TIM5 takes some clocks, and two gate drivers answer on SPI3:
  * reading their status clears it.
  * Calls of the application (app/servo.h) are also in the list.
  */
@@ -29,7 +29,7 @@ typedef struct chip {
     uint32_t memory[3][FAKE_REGISTERS];
     fake_access_t access[FAKE_ACCESSES];
     int accesses;
-    uint32_t clocks_per_read; /* of CYCCNT */
+    uint32_t clocks_per_read; /* of TIM5 */
     uint16_t driver[2][4];    /* registers of the gate drivers */
     uint16_t answer[2];       /* to the next frame */
     int lost_writes;          /* frames that the drivers do not take */

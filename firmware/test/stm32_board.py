@@ -27,7 +27,7 @@ TIM2, USART2, DMA1, DMA2 = 0x4000_0000, 0x4000_4400, 0x4002_6000, 0x4002_6400
 ADC = (0x4001_2000, 0x4001_2100, 0x4001_2200)
 GPIO = {port: 0x4002_0000 + 0x400 * i for i, port in enumerate("ABCD")}
 EXTI, FLASH, IWDG = 0x4001_3C00, 0x4002_3C00, 0x4000_3000
-CYCCNT = 0xE000_1004
+TIM5_CNT = 0x4000_0C24
 
 
 class Access(NamedTuple):
@@ -91,7 +91,16 @@ class Stm32Board:
         self.lib.fake_set(self.chip, address, value)
 
     def pass_time(self, seconds: float) -> None:
-        self[CYCCNT] = (self[CYCCNT] + round(168e6 * seconds)) & 0xFFFF_FFFF
+        self.clock += round(168e6 * seconds)
+
+    @property
+    def clock(self) -> int:
+        """Core clocks that the port counts, by twos."""
+        return 2 * self[TIM5_CNT]
+
+    @clock.setter
+    def clock(self, value: int) -> None:
+        self[TIM5_CNT] = value // 2 & 0xFFFF_FFFF
 
     def is_on(self, axis: int) -> bool:
         """Main output enable of an inverter."""

@@ -29,7 +29,7 @@ PERIPHERALS: Final = {
     "RCC": ("RCC",),
     "SPI": ("SPI3",),
     "SYSCFG": ("SYSCFG",),
-    "TIM": ("TIM1", "TIM8", "TIM2", "TIM3", "TIM4"),
+    "TIM": ("TIM1", "TIM8", "TIM2", "TIM3", "TIM4", "TIM5"),
     "USART": ("USART2",),
 }
 """Peripherals of the description that have the registers with a prefix."""
@@ -103,15 +103,6 @@ BY_BITS: Final = {
 SAMPLE_TIMES: Final = {"ADC_SMPR1_SMP", "ADC_SMPR2_SMP"}
 """Three bits to a channel; the description does not split the register."""
 
-CORE: Final = {
-    "DWT_BASE": 0xE0001000,  # Armv7-M, C1.8
-    "DWT_CTRL": 0x0,
-    "DWT_CYCCNT": 0x4,
-    "DWT_CTRL_CYCCNTENA": 1 << 0,
-    "SCB_DEMCR_TRCENA": 1 << 24,
-}
-"""Of the core, by the architecture manual."""
-
 
 class Definitions:
     """The definitions of the header with their values."""
@@ -149,7 +140,7 @@ class Definitions:
 
     def _is_of_registers(self, name: str) -> bool:
         others = ("FLASH_MEMORY", "FLASH_SECTOR")
-        told = RENAMED.get(name, name) is None or name in CORE or name.endswith("_BASE")
+        told = RENAMED.get(name, name) is None or name.endswith("_BASE")
         return prefix_of(name) is not None and not name.startswith(others) and not told
 
     def register_of(self, name: str) -> str:
@@ -207,7 +198,7 @@ def having(chip: ChipDescription, prefix: str, register: str) -> dict[str, Regis
 def test_every_peripheral_has_its_address(chip: ChipDescription, header: Definitions) -> None:
     names = [name.removesuffix("_BASE") for name in header.parameters if name.endswith("_BASE")]
     assert len(names) > 20
-    for name in set(names) - {"DWT"}:
+    for name in names:
         (peripheral,) = PERIPHERALS.get(name, (name,))
         assert header.value(f"{name}_BASE") == chip.base(peripheral), name
 
@@ -318,10 +309,7 @@ def test_every_request_of_dma_has_its_channel(chip: ChipDescription, header: Def
 
 
 def test_core_and_memories(chip: ChipDescription, header: Definitions) -> None:
-    for name, value in CORE.items():
-        assert header.value(name) == value, name
     assert header.value("SCB_VTOR") == chip.core_register("VTOR")
-    assert header.value("SCB_DEMCR") == chip.core_register("DEMCR")
     memories = {name: (address, size) for name, address, size in chip.memories()}
     for name, described in (("FLASH", "flash"), ("SRAM1", "sram1"), ("SRAM2", "sram2"), ("CCM", "ccm")):
         assert (header.value(f"{name}_MEMORY"), header.value(f"{name}_MEMORY_SIZE")) == memories[described]
@@ -335,6 +323,6 @@ def test_core_and_memories(chip: ChipDescription, header: Definitions) -> None:
 def test_nothing_is_left_out(header: Definitions) -> None:
     """Every definition belongs to one of the tests."""
     others = ("AF_", "IRQ_", "DMA1_", "DMA2_", "FLASH_MEMORY", "FLASH_SECTOR", "SRAM", "CCM", "SCB_")
-    known = {*header.registers, *header.fields, *header.codes, *RENAMED, *CORE}
+    known = {*header.registers, *header.fields, *header.codes, *RENAMED}
     rest = {n for n in header.parameters if not n.startswith(others) and not n.endswith("_BASE") and "_IN_" not in n}
     assert rest <= known

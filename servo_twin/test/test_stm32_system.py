@@ -393,14 +393,3 @@ def test_watchdog(stm32: Stm32Rig) -> None:
 def test_watchdog_is_locked(stm32: Stm32Rig) -> None:
     with pytest.raises(Stm32Error, match="locked"):
         stm32.write("IWDG_RLR", 1)
-
-
-def test_cycle_counter(stm32: Stm32Rig) -> None:
-    assert stm32.read_at(0xE000_1004) == 0
-    stm32.write_at(0xE000_EDFC, 1 << 24)
-    stm32.write_at(0xE000_1000, 1)
-    stm32.step(1234)
-    assert stm32.read_at(0xE000_1004) == 1234
-    stm32.write_at(0xE000_1004, 0)
-    stm32.step(7)
-    assert stm32.read_at(0xE000_1004) == 7

@@ -22,9 +22,9 @@ void wait_clocks(hal_t *hal, uint32_t duration)
 
 static void start_counter(hal_t *hal)
 {
-    REG_WRITE(hal, SCB_DEMCR, REG_READ(hal, SCB_DEMCR) | SCB_DEMCR_TRCENA);
-    REG_WRITE(hal, DWT_BASE + DWT_CYCCNT, 0U);
-    REG_WRITE(hal, DWT_BASE + DWT_CTRL, REG_READ(hal, DWT_BASE + DWT_CTRL) | DWT_CTRL_CYCCNTENA);
+    REG_WRITE(hal, TIM5_BASE + TIM_PSC, 0U);
+    REG_WRITE(hal, TIM5_BASE + TIM_ARR, UINT32_C(0xFFFFFFFF));
+    REG_WRITE(hal, TIM5_BASE + TIM_CR1, TIM_CR1_CEN);
 }
 
 /* Back to the internal oscillator. A boot loader may have left the PLL on, as the system clock: then it cannot be
@@ -47,7 +47,6 @@ static bool leave_pll(hal_t *hal)
 /* Wait states and dividers before the higher clock. A failure of the crystal raises the non-maskable interrupt. */
 bool clock_init(hal_t *hal)
 {
-    start_counter(hal);
     if (!leave_pll(hal)) {
         return false;
     }
@@ -77,6 +76,7 @@ bool clock_init(hal_t *hal)
         return false;
     }
     REG_WRITE(hal, RCC_BASE + RCC_CR, cr | RCC_CR_HSEON | RCC_CR_PLLON | RCC_CR_CSSON);
+    start_counter(hal);
     return true;
 }
 

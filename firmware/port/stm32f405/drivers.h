@@ -13,8 +13,9 @@
 /* Read until the bits under `mask` are `value`; false if they never are. */
 bool wait_for(hal_t *hal, uint32_t address, uint32_t mask, uint32_t value);
 
-/* Free-running count of core clocks. */
-static inline uint32_t clocks(hal_t *hal) { return REG_READ(hal, DWT_BASE + DWT_CYCCNT); }
+/* Free-running count of core clocks, in steps of TIM5_CLOCKS. Whether the cycle counter of the core goes on while it
+ * sleeps depends on the chip: a timer does. */
+static inline uint32_t clocks(hal_t *hal) { return TIM5_CLOCKS * REG_READ(hal, TIM5_BASE + TIM_CNT); }
 
 /* Core clocks that pass, at least. */
 void wait_clocks(hal_t *hal, uint32_t duration);

@@ -35,6 +35,7 @@
 #define TIM2_BASE UINT32_C(0x40000000)
 #define TIM3_BASE UINT32_C(0x40000400)
 #define TIM4_BASE UINT32_C(0x40000800)
+#define TIM5_BASE UINT32_C(0x40000C00) /* of 32 bits, as TIM2 */
 #define IWDG_BASE UINT32_C(0x40003000)
 #define SPI3_BASE UINT32_C(0x40003C00)
 #define USART2_BASE UINT32_C(0x40004400)
@@ -57,7 +58,6 @@
 #define DMA2_BASE UINT32_C(0x40026400)
 #define DBGMCU_BASE UINT32_C(0xE0042000)
 #define NVIC_BASE UINT32_C(0xE000E000)
-#define DWT_BASE UINT32_C(0xE0001000)
 
 /* ---- reset and clock control ------------------------------------------------------------------------------------ */
 
@@ -113,6 +113,7 @@
 #define RCC_APB1ENR_TIM2EN BIT(0)
 #define RCC_APB1ENR_TIM3EN BIT(1)
 #define RCC_APB1ENR_TIM4EN BIT(2)
+#define RCC_APB1ENR_TIM5EN BIT(3)
 #define RCC_APB1ENR_SPI3EN BIT(15)
 #define RCC_APB1ENR_USART2EN BIT(17)
 #define RCC_APB1ENR_PWREN BIT(28)
@@ -538,12 +539,6 @@
 #define NVIC_PRIORITY_BITS 4U /* the upper ones of the eight */
 
 #define SCB_VTOR UINT32_C(0xE000ED08)
-#define SCB_DEMCR UINT32_C(0xE000EDFC)
-#define SCB_DEMCR_TRCENA BIT(24)
-
-#define DWT_CTRL 0x00U
-#define DWT_CYCCNT 0x04U
-#define DWT_CTRL_CYCCNTENA BIT(0)
 
 #define IRQ_EXTI0 6U
 #define IRQ_EXTI1 7U

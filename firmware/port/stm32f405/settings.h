@@ -53,6 +53,7 @@
 
 #define SETTINGS_CHECK(what, true_condition) typedef char check_##what[(true_condition) ? 1 : -1]
 
+#define TIM5_CLOCKS (CORE_CLOCK_HZ / (2U * APB1_CLOCK_HZ)) /* clocks of the core in a count */
 #define CLOCKS_OF_NS(ns) ((uint32_t)(((ns) * (CORE_CLOCK_HZ / 1000000U) + 500U) / 1000U))
 #define CLOCKS_OF_US(us) ((us) * (CORE_CLOCK_HZ / 1000000U))
 
@@ -80,8 +81,8 @@ SETTINGS_CHECK(adc_clock_within_the_chips_limit, ADC_CLOCK_HZ <= 36000000U);
     (RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_GPIODEN |                           \
      RCC_AHB1ENR_CCMDATARAMEN | RCC_AHB1ENR_DMA1EN | RCC_AHB1ENR_DMA2EN)
 #define SET_RCC_APB1ENR                                                                                                \
-    (RCC_APB1ENR_TIM2EN | RCC_APB1ENR_TIM3EN | RCC_APB1ENR_TIM4EN | RCC_APB1ENR_SPI3EN | RCC_APB1ENR_USART2EN |        \
-     RCC_APB1ENR_PWREN)
+    (RCC_APB1ENR_TIM2EN | RCC_APB1ENR_TIM3EN | RCC_APB1ENR_TIM4EN | RCC_APB1ENR_TIM5EN | RCC_APB1ENR_SPI3EN |          \
+     RCC_APB1ENR_USART2EN | RCC_APB1ENR_PWREN)
 #define SET_RCC_APB2ENR                                                                                                \
     (RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_ADC2EN | RCC_APB2ENR_ADC3EN |          \
      RCC_APB2ENR_SYSCFGEN)

@@ -17,8 +17,7 @@ typedef struct {
 } peripheral_t;
 
 #define TIMER(name) {name##_BASE, 0x400u, offsetof(chip_t, tim[SOC_##name]), tim_read, tim_write, tim_reset}
-#define TIM5_BASE UINT32_C(0x40000C00) /* which the port does not use */
-#define TIM12_BASE UINT32_C(0x40001800)
+#define TIM12_BASE UINT32_C(0x40001800) /* which the port does not use */
 
 static const peripheral_t peripherals[] = {
     {RCC_BASE, 0x400u, offsetof(chip_t, rcc), rcc_read, rcc_write, rcc_reset}, /* its reset is the first */
@@ -61,10 +60,6 @@ static const peripheral_t *find(uint32_t address)
 static uint32_t *plain_register(chip_t *chip, uint32_t address)
 {
     switch (address) {
-    case SCB_DEMCR:
-        return &chip->demcr;
-    case DWT_BASE + DWT_CTRL:
-        return &chip->dwt_ctrl;
     case DBGMCU_BASE + DBGMCU_APB1_FZ:
         return &chip->dbgmcu[0];
     case DBGMCU_BASE + DBGMCU_APB2_FZ:
@@ -72,11 +67,6 @@ static uint32_t *plain_register(chip_t *chip, uint32_t address)
     default:
         return NULL;
     }
-}
-
-static bool counts_cycles(const chip_t *chip)
-{
-    return (chip->demcr & SCB_DEMCR_TRCENA) != 0 && (chip->dwt_ctrl & DWT_CTRL_CYCCNTENA) != 0;
 }
 
 /* ---- access --------------------------------------------------------------------------------------------------------- */
@@ -113,10 +103,6 @@ bool chip_load(void *self, uint32_t address, unsigned size, uint32_t *value)
     if (address - FLASH_MEMORY < FLASH_MEMORY_SIZE) {
         return read_flash(chip, address, size, value);
     }
-    if (address == DWT_BASE + DWT_CYCCNT) {
-        *value = counts_cycles(chip) ? (uint32_t)(chip->soc.bus.now - chip->cycle_origin) : 0u;
-        return true;
-    }
     const uint32_t *plain = plain_register(chip, address);
     if (plain != NULL) {
         *value = *plain;
@@ -141,15 +127,9 @@ bool chip_store(void *self, uint32_t address, unsigned size, uint32_t value)
         flash_control_program(&chip->flash_control, address - FLASH_MEMORY, value);
         return true;
     }
-    if (address == DWT_BASE + DWT_CYCCNT) {
-        chip->cycle_origin = chip->soc.bus.now - value;
-        return true;
-    }
     uint32_t *plain = plain_register(chip, address);
     if (plain != NULL) {
-        const bool before = counts_cycles(chip);
         *plain = value;
-        chip->cycle_origin = (!before && counts_cycles(chip)) ? chip->soc.bus.now : chip->cycle_origin;
     }
     return plain != NULL;
 }
@@ -354,7 +334,6 @@ static void reset_all(chip_t *chip, soc_reset_t cause)
 {
     events_reset(&chip->soc.bus.events);
     chip->soc.bus.must_boot = true;
-    chip->demcr = chip->dwt_ctrl = 0;
     for (unsigned k = 0; k < PERIPHERALS; k++) {
         if (peripherals[k].reset != NULL) {
             peripherals[k].reset(at(chip, peripherals[k].offset), cause);

@@ -41,8 +41,7 @@ typedef struct chip {
     drv8301_t drivers;
     unsigned enable_pin, select_pin[DRV8301_DRIVERS], fault_pin;
     uint8_t *(*memory)(void *board, uint32_t address, unsigned size);
-    uint32_t demcr, dwt_ctrl, dbgmcu[2];
-    uint64_t cycle_origin; /* clock at which CYCCNT was 0 */
+    uint32_t dbgmcu[2];
     unsigned gates[CHIP_AXES][CHIP_PHASES]; /* levels that the power stage has */
 } chip_t;
 
