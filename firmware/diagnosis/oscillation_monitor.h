@@ -1,7 +1,7 @@
 /* oscillation_monitor.h - sustained oscillation of the current: a loop that is not stable with its load. Inline for
  * speed.
  *
- * A turning point of the current is where it has come back from its last extreme, by `swing` and by a quarter of the
+ * A turning point of the current is where it has come back from its last extreme, by `swing_min` and by a quarter of the
  * previous swing, so that noise on a large oscillation does not count. Turning points without a longer pause than half
  * of the longest period are an oscillation. Neither a step nor noise or friction gives so many in a row; a set-point
  * does only if it alternates faster than that (firmware/doc/oscillation.md).
@@ -16,6 +16,7 @@
 #define OSCILLATION_HALF_RATE 1000U /* frequency of one turning point per slow tick, Hz */
 
 typedef struct {
+    uint16_t swing_min; /* smallest swing that counts, peak to peak, Q1.15 of full-scale current */
     frac16_t extreme; /* largest or smallest value since the last turning point, Q1.15 of full-scale current */
     frac16_t opposite; /* extreme before that one */
     uint16_t swing; /* swing between these two when the last turning point was found, Q1.15 of full-scale current */
@@ -47,9 +48,8 @@ static inline void oscillation_turn(oscillation_monitor_t *m, frac16_t current)
     m->pause = 0;
 }
 
-/* One slow tick; `swing`: smallest swing that counts, peak to peak, Q1.15 of full-scale current. True if the current has
- * oscillated for the permitted duration; then it counts anew. */
-static inline bool oscillation_monitor_step(oscillation_monitor_t *m, frac16_t swing, frac16_t current)
+/* One slow tick. True if the current has oscillated for the permitted duration; then it counts anew. */
+static inline bool oscillation_monitor_step(oscillation_monitor_t *m, frac16_t current)
 {
     const frac16_t back = m->falling ? f16_sub(current, m->extreme) : f16_sub(m->extreme, current);
     if (m->pause <= OSCILLATION_PAUSE_MAX) {
@@ -61,7 +61,7 @@ static inline bool oscillation_monitor_step(oscillation_monitor_t *m, frac16_t s
     }
     if (back <= 0) {
         m->extreme = current;
-    } else if (back >= swing && back >= (frac16_t)(m->swing / 4U)) {
+    } else if ((uint16_t)back >= m->swing_min && (uint16_t)back >= m->swing / 4U) {
         oscillation_turn(m, current);
     }
     if (m->ticks < OSCILLATION_TICKS_MAX) {

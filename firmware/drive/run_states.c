@@ -21,7 +21,6 @@
 #include "sensing/rotor_hold.h"
 
 #define GAIN_SHIFT_MAX 3U /* an eighth of the gains */
-#define DITHER_COUNTS 4   /* counts per slow tick */
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
 
@@ -509,25 +508,16 @@ static void calm(axis_t *axis)
 
 /* Current that an oscillation has, or would have with full gains: then one limit serves all gains. It is measured,
  * because the current loop may be the one that oscillates. */
-static frac16_t current_with_full_gains(const axis_t *axis, const pi_gains_t *full)
+static frac16_t current_with_full_gains(const axis_t *axis)
 {
     const motion_state_t *m = &axis->motion;
     const frac16_t current = axis->current_loop.current.q;
     if (m->gain_shift == 0U) {
         return current;
     }
+    const pi_gains_t *full = speed_control_full_gains(axis, axis->config);
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
     return f16_add(current, f16_from_f32(f32_gain(error, full->kp - m->speed_gains->kp)));
-}
-
-/* Smallest swing of an oscillation, peak to peak: more than the dither of a shaft at rest, whose speed error is a few
- * counts per tick. */
-static frac16_t swing_min(const axis_t *axis, const pi_gains_t *full)
-{
-    const frac16_t part = axis->config->i_q_limit / 4;
-    const frac32_t dither = f32_gain(DITHER_COUNTS * axis->config->speed_per_path_step, full->kp);
-    const frac16_t swing = (dither > f32_from_f16(part)) ? f16_from_f32(dither) : part;
-    return f16_limit(swing, axis->current_max.q);
 }
 
 /* A host may command a torque that alternates. */
@@ -539,8 +529,7 @@ static void judge_oscillation(axis_t *axis)
         oscillation_monitor_restart(monitor);
         return;
     }
-    const pi_gains_t *full = speed_control_full_gains(axis, axis->config);
-    if (oscillation_monitor_step(monitor, swing_min(axis, full), current_with_full_gains(axis, full))) {
+    if (oscillation_monitor_step(monitor, current_with_full_gains(axis))) {
         calm(axis);
     }
 }

@@ -1,6 +1,9 @@
 #include "drive/speed_control.h"
 
 #include "drive/soft_limits.h"
+#include "math/divide.h"
+
+#define DITHER_COUNTS 4 /* counts of the encoder per slow tick */
 
 /* Feed-forward current, for friction and for the acceleration: J alpha / Kt. */
 static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
@@ -87,6 +90,22 @@ const pi_gains_t *speed_control_full_gains(const axis_t *axis, const axis_config
     return axis->sensorless ? &config->observed_speed : &config->speed;
 }
 
+/* Smallest swing of an oscillation: a quarter of the current limit of the configuration, and more than the dither of a
+ * shaft at rest, whose speed error is a few counts of the encoder per slow tick. A lower limit in force does not make
+ * the dither smaller. A swing that the current cannot have is not found. */
+static uint16_t oscillation_swing_min(const axis_t *axis, const axis_config_t *config, gain_t kp)
+{
+    const uint16_t fine = POSITION_PER_TURN / 4;
+    const uint16_t fitted = encoder_lines(&config->encoder);
+    const uint16_t lines = (axis->sensorless || fitted > fine) ? fine : fitted;
+    const int64_t counts = (int64_t)config->speed_per_path_step * DITHER_COUNTS * fine;
+    const frac32_t error = sat32(i64_over_u16(counts, lines));
+    const int64_t dither = asr64((int64_t)error * kp, GAIN_BITS + 16U);
+    const int64_t part = config->i_q_limit / 4;
+    const int64_t swing = (dither > part) ? dither : part;
+    return (swing > UINT16_MAX) ? UINT16_MAX : (uint16_t)swing;
+}
+
 /* Set the gains. With the bandwidth divided by 2^shift, the corner of the integral part falls as much: the phase margin
  * remains. */
 static void set_gains(axis_t *axis, const axis_config_t *config, uint16_t shift)
@@ -96,6 +115,7 @@ static void set_gains(axis_t *axis, const axis_config_t *config, uint16_t shift)
     m->gain_shift = shift;
     m->speed_gains = gains;
     m->position_gain_target = config->position_gain;
+    axis->diagnosis.oscillation.swing_min = oscillation_swing_min(axis, config, gains->kp);
     if (shift != 0U) {
         m->reduced_gains = (pi_gains_t){asr32(gains->kp, shift), asr32(gains->ki, 2U * shift), gains->kc};
         m->speed_gains = &m->reduced_gains;
@@ -106,9 +126,9 @@ static void set_gains(axis_t *axis, const axis_config_t *config, uint16_t shift)
 
 void speed_control_start(axis_t *axis)
 {
-    set_gains(axis, axis->config, 0);
-    axis->motion.forced = false;
     axis->diagnosis.oscillation = (oscillation_monitor_t){0};
+    axis->motion.forced = false;
+    set_gains(axis, axis->config, 0);
 }
 
 void speed_control_retune(axis_t *axis, const axis_config_t *config, uint16_t gain_shift)

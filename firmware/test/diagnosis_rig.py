@@ -102,7 +102,8 @@ class Diagnosis:
 
     def oscillation(self, current: int, swing: int = 1000) -> bool:
         monitor = self.ffi.addressof(self.monitors, "oscillation")
-        return bool(self.lib.oscillation_monitor_step(monitor, swing, current))
+        monitor.swing_min = swing
+        return bool(self.lib.oscillation_monitor_step(monitor, current))
 
     def stall_start(self, i_q: int) -> None:
         self.seen.current_ref.q = i_q

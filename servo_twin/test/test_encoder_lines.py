@@ -8,16 +8,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pytest
 from servo_msgs_py.board_description import BoardDescription
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.text_file import read_toml
+from servo_msgs_py.units import TICK
 from servo_tuning.checks import COUNT_TIME_FILTERS
 from servo_tuning.reading import parse
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import ServoConfig
 from servo_twin.simulation import enable, move
+from servo_twin.validation.experiments import rig
 from twin_rig import TwinRig, apart, worst, worst_counts
 
 CONFIG: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
@@ -65,6 +69,26 @@ def test_any_encoder_moves_the_shaft_to_its_set_point(lines: tuple[int, int], le
             assert sign * (board.truth(axis).theta_m - start[axis]) == pytest.approx(MOVE, abs=3.0 * resolution)
             assert abs(one.reached - one.target) <= 2.5 * resolution / (2.0 * math.pi / 4000)
             assert board.read_words(f"axis{axis + 1}.faults") == [0]
+
+
+def test_dither_of_a_coarse_encoder_is_no_oscillation() -> None:
+    """The gains of 1000 lines answer to one count of 100 lines with ten times the current."""
+    lines = (100, 100)
+    configured = dict(table(lines))
+    for name in ("axis1", "axis2"):
+        del configured[name]["control"]
+    servo = ServoConfig.of(parse(configured, Catalogue.load()))
+    with rig.at_level("registers"), rig.fresh_board(plant_of(lines), 3, servo) as board:
+        enable(board)
+
+        def act(tick: int) -> None:
+            if tick % 20 == 0:
+                for axis in range(AXES):
+                    write_axis(board, "cmd.position", axis, 0.5 * math.sin(2.0 * math.pi * 5.0 * tick * TICK))
+
+        for recorded in rig.record(board, range(AXES), 1.5, act).values():
+            assert np.ptp(recorded["i_q"]) > 2.0
+            assert not recorded["oscillation"].any()
 
 
 @pytest.mark.parametrize("lines", PAIRS)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from servo_msgs_py.board_port import active, choose, first_fault, word, write_axis, write_word
+from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import TICK
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
@@ -54,6 +55,18 @@ def test_the_gains_are_full_again_after_enabling(plant: PlantConfig) -> None:
         write_word(board, "cmd.enable", 0, 1)
         board.run(0.05)
         rig.until(board, "enabled", lambda: word(board, 0, "oscillation") == 0 and not limited(board), 5.0)
+
+
+def test_dither_at_a_low_current_limit_is_no_oscillation(plant: PlantConfig) -> None:
+    """The dead time makes the current dither by more than the limit."""
+    limit = 0.1
+    with rig.at_level("registers"), rig.spinning(plant, SEED) as board:
+        for axis in range(AXES):
+            write_axis(board, "param.i_q_limit", axis, limit)
+            write_axis(board, "cmd.position", axis, 31.4)
+        for recorded in rig.record(board, range(AXES), 1.2).values():
+            assert np.ptp(recorded["i_q"]) > limit
+            assert not recorded["oscillation"].any()
 
 
 def shaken(board: Board, ticks: int, act: Callable[[float], None], frequency: float = 60.0) -> None:
