@@ -515,6 +515,22 @@ def test_the_first_edge_behind_the_arming_is_captured(board: Stm32Board, axis: i
 
 
 @pytest.mark.parametrize("axis", [0, 1])
+def test_a_pulse_that_the_timer_does_not_count_is_no_edge(board: Stm32Board, axis: int) -> None:
+    capture = board.ffi.new("edge_capture_t *")
+    board.lib.hal_encoder_start(board.hal, axis, 4000)
+    board.lib.hal_capture_arm(board.hal, axis)
+    for clock in (512, 768):
+        edge(board, axis, raw=0, clock=clock)
+        assert not board[EXTI + 0x14] & 3 << 14
+        assert not board[EXTI] & 1 << (5, 7)[axis]  # further pulses do not interrupt
+        board.sample(axis, 2048, 2048)
+        assert board[EXTI] & 1 << (5, 7)[axis]
+    edge(board, axis, raw=1, clock=1024)
+    assert board.lib.hal_capture_take(board.hal, axis, capture)
+    assert (capture.count, capture.time) == (1, 4)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
 def test_an_edge_calls_the_application_below_the_loops(board: Stm32Board, axis: int) -> None:
     board.lib.hal_capture_arm(board.hal, axis)
     edge(board, axis, raw=3, clock=512)

@@ -21,6 +21,23 @@ void encoders_init(hal_t *hal)
     }
 }
 
+static void mask_edge(hal_t *hal, uint16_t axis, bool on)
+{
+    const uint32_t line = EXTI_IMR_MR(PIN_B(axis));
+    const uint32_t others = REG_READ(hal, EXTI_BASE + EXTI_IMR) & ~line;
+    REG_WRITE(hal, EXTI_BASE + EXTI_IMR, on ? others | line : others);
+}
+
+/* port_stamp may interrupt the change of the mask, and the line of the other axis stay open: a second edge is ignored
+ * there. */
+static void open_line(hal_t *hal, uint16_t axis)
+{
+    hal->axis[axis].uncounted = false;
+    REG_WRITE(hal, EXTI_BASE + EXTI_PR, EXTI_PR_PR(PIN_B(axis)));
+    hal->axis[axis].armed = true;
+    mask_edge(hal, axis, true);
+}
+
 /* ---- counts ----------------------------------------------------------------------------------------------------- */
 
 /* A count in the turn after a difference: it begins anew at 0 behind the last count in either direction. */
@@ -40,6 +57,9 @@ void encoder_follow(hal_t *hal, uint16_t axis)
     }
     state->raw = raw;
     state->count = (uint16_t)count;
+    if (state->uncounted) { /* not before the next loop: pulses take no more time than these interrupts */
+        open_line(hal, axis);
+    }
 }
 
 void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period)
@@ -64,26 +84,18 @@ uint16_t hal_index_count(hal_t *hal, uint16_t axis) { return hal->axis[axis].ind
 
 /* ---- edges: an interrupt above the loops takes count and time, one below them does the rest ------------------------ */
 
-static void mask_edge(hal_t *hal, uint16_t axis, bool on)
-{
-    const uint32_t line = EXTI_IMR_MR(PIN_B(axis));
-    const uint32_t others = REG_READ(hal, EXTI_BASE + EXTI_IMR) & ~line;
-    REG_WRITE(hal, EXTI_BASE + EXTI_IMR, on ? others | line : others);
-}
-
-/* port_stamp may interrupt the change of the mask, and the line of the other axis stay open: a second edge is ignored
- * there. */
 void hal_capture_arm(hal_t *hal, uint16_t axis)
 {
     port_axis_t *state = &hal->axis[axis];
     (void)hal_edge_age(hal, axis);
     state->armed = false;
     state->captured = false;
-    REG_WRITE(hal, EXTI_BASE + EXTI_PR, EXTI_PR_PR(PIN_B(axis)));
-    state->armed = true;
-    mask_edge(hal, axis, true);
+    state->armed_raw = (uint16_t)REG_READ(hal, state->encoder + TIM_CNT);
+    open_line(hal, axis);
 }
 
+/* The timer filters its inputs, the line does not: a pulse that is too short to be counted is no edge. Behind a true
+ * one the count is never that of the arming: counts beside it are reached by either channel A or channel B. */
 void port_stamp(hal_t *hal)
 {
     const uint32_t now = clocks(hal);
@@ -96,7 +108,12 @@ void port_stamp(hal_t *hal)
         mask_edge(hal, axis, false);
         REG_WRITE(hal, EXTI_BASE + EXTI_PR, EXTI_PR_PR(PIN_B(axis)));
         if (state->armed && !state->captured) {
-            state->edge_raw = (uint16_t)REG_READ(hal, state->encoder + TIM_CNT);
+            const uint16_t raw = (uint16_t)REG_READ(hal, state->encoder + TIM_CNT);
+            if (raw == state->armed_raw) {
+                state->uncounted = true;
+                continue;
+            }
+            state->edge_raw = raw;
             state->edge_at = now;
             state->edges++;
             state->captured = true;

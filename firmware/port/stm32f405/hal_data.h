@@ -41,6 +41,8 @@ typedef struct {
 
     volatile bool armed;       /* the next edge of channel B is captured */
     volatile bool captured;    /* an edge was captured since arming */
+    volatile bool uncounted;   /* a pulse that the timer has not counted has closed the line */
+    uint16_t armed_raw; /* counter of the timer at arming */
     volatile uint32_t edge_at; /* core clocks at the captured edge */
     volatile uint16_t edge_raw; /* counter of the timer at that edge */
     volatile uint16_t edges; /* captured edges, modulo 65536 */
