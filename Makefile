@@ -69,10 +69,21 @@ generated_for = SERVO_BOARD=$(1) PYTHONPATH=servo_msgs_py $(BIN)/python -m servo
   SERVO_BOARD=$(1) PYTHONPATH=servo_msgs_py $(BIN)/python firmware/config/tune.py generate --config firmware/config/$(1).toml \
   --output $(2)/config/servo_config_gen.c
 FLASH_TOOL ?= openocd
-IMAGE := firmware/port/stm32f405/build/servo
-FLASH_openocd = openocd -f interface/stlink.cfg -f target/stm32f4x.cfg -c "program $(IMAGE).elf verify reset exit"
-FLASH_st-flash = st-flash --reset --format ihex write $(IMAGE).hex
-FLASH_dfu-util = dfu-util -a 0 -d 0483:df11 -s 0x08000000:leave -D $(IMAGE).bin
+IMAGE := firmware/port/stm32f405/build
+PROGRAM := $(IMAGE)/program.bin 0x08010000
+START := $(IMAGE)/start.bin 0x08000000
+DFU = dfu-util -a 0 -d 0483:df11 -D $(firstword $(1)) -s $(lastword $(1))
+FLASH_openocd = openocd -f interface/stlink.cfg -f target/stm32f4x.cfg -c "program $(PROGRAM) verify" -c "program $(START) verify reset exit"
+FLASH_st-flash = st-flash write $(PROGRAM) && st-flash --reset write $(START)
+FLASH_dfu-util = $(call DFU,$(PROGRAM)) && $(call DFU,$(START)):leave
+ifneq ($(filter flash,$(MAKECMDGOALS)),)
+ifneq ($(BOARD),odrive36)
+$(error `make flash` is for the board odrive36, not for $(BOARD))
+endif
+ifeq ($(FLASH_$(FLASH_TOOL)),)
+$(error FLASH_TOOL is openocd, st-flash or dfu-util, not $(FLASH_TOOL))
+endif
+endif
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -115,7 +126,7 @@ bench-firmware: $(VENV)/.native ## instructions and bytes of the firmware on a C
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
 
 # The generated files of the checkout are those of the DSC; another board has its own beside its objects.
-firmware: $(VENV)/.created ## firmware by arm-none-eabi-gcc as .elf, .hex and .bin, with its sizes; BOARD=odrive36 or mc56f84789_m4, OPT=-Os
+firmware: $(VENV)/.created ## firmware by arm-none-eabi-gcc as .elf, .hex and, for the flash, .bin, with its sizes; BOARD=odrive36 or mc56f84789_m4, OPT=-Os
 	@$(if $(wildcard $(BOARD_CONFIG)),$(call generated_for,$(BOARD),$(BOARD_FILES)))
 	@$(MAKE) --no-print-directory -C firmware/port BOARD=$(BOARD) $(if $(OPT),OPT=$(OPT)) $(if $(wildcard $(BOARD_CONFIG)),GENERATED=$(CURDIR)/$(BOARD_FILES))
 

@@ -171,6 +171,19 @@ def test_values_of_make_variables_reach_the_program_as_they_are(word: str) -> No
         assert shlex.split(plan.stdout.splitlines()[-1])[-len(options) :] == options
 
 
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("BOARD=mc56f84789_m4", "for the board odrive36, not for mc56f84789_m4"),
+        ("FLASH_TOOL=ls", "FLASH_TOOL is openocd, st-flash or dfu-util, not ls"),
+    ],
+)
+def test_make_flash_refuses_what_it_cannot_write(setting: str, message: str) -> None:
+    done = run("make", "--dry-run", "flash", setting)
+    assert done.returncode == 2
+    assert message in done.stderr
+
+
 def test_missing_tools_are_named_with_the_command_that_installs_them(tmp_path: Path) -> None:
     for tool in ("sh", "readlink", "uname", "make"):
         (tmp_path / tool).symlink_to(str(shutil.which(tool)))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import struct
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -100,6 +102,39 @@ def test_storage_and_settings_of_the_vendor_are_left_alone(image: Image) -> None
         section = image.section(name)
         assert section.loaded >= 0x0801_0000
         assert section.loaded + len(section.data) <= 0x080C_0000  # sector 10
+
+
+def sectors(address: int, size: int) -> set[int]:
+    """Sectors of the flash with a range (RM0090, table 5)."""
+    begins = [*range(0, 0x1_0000, 0x4000), 0x1_0000, *range(0x2_0000, 0x10_0000, 0x2_0000)]
+    first, last = address - 0x0800_0000, address - 0x0800_0000 + size - 1
+    return {n for n, (a, b) in enumerate(pairwise([*begins, 0x10_0000])) if a <= last and first < b}
+
+
+@pytest.mark.parametrize("tool", ["openocd", "st-flash", "dfu-util"])
+def test_make_flash_writes_the_image_and_leaves_the_stored_parameters(image: Image, tool: str) -> None:
+    """Each file is written with an erase of every sector from its beginning to its end."""
+    command = ["make", "--no-print-directory", "--dry-run", "-C", str(FIRMWARE.parent), "flash", f"FLASH_TOOL={tool}"]
+    outside = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=outside)
+    assert done.returncode == 0, done.stderr
+    plan = done.stdout.splitlines()[-1]
+    assert plan.startswith(tool)
+    files = re.findall(r"/build/(\S+) (?:-s )?(0x\w+)", plan)
+    assert len(files) == plan.count("/build/")
+    flash = bytearray(b"\xff" * 0x10_0000)
+    erased: set[int] = set()
+    for name, address in files:
+        data = (image.elf.parent / name).read_bytes()
+        erased |= sectors(int(address, 16), len(data))
+        at = int(address, 16) - 0x0800_0000
+        flash[at : at + len(data)] = data
+    stored = BoardDescription.load(BOARD).flash_sectors
+    assert erased.isdisjoint(range(1, 1 + stored))
+    for name in (".start", ".text", ".data"):
+        section = image.section(name)
+        at = section.loaded - 0x0800_0000
+        assert flash[at : at + len(section.data)] == section.data
 
 
 def test_behind_the_start_nothing_is_fetched_from_the_flash(image: Image) -> None:
