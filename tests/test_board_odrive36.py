@@ -16,11 +16,11 @@ from servo_twin.simulation import keep_set_points
 from targets.machines import CortexM4, Target
 from targets.sources import ROOT
 from targets.toolchain import run
-from test_board_elf import planted
+from test_board_elf import planted, symbol
 
 ODRIVE = BoardDescription.load("odrive36")
 MS = 1_000_000
-ADC2_JSQR = 0x4001_2138
+ADC2_JSQR, TIM2_CCR3, TIM5_CNT = 0x4001_2138, 0x4000_003C, 0x4000_0C24
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
 
 pytestmark = pytest.mark.usefixtures("tools")
@@ -128,6 +128,20 @@ def test_a_planted_error_is_a_fault(elf: bytes, tmp_path: Path, function: str) -
         wrong.write("cmd.position", [3.0, -2.0])
         wrong.advance(800 * MS)
         assert wrong.read("axis1.faults") or wrong.read("axis2.faults")
+
+
+def test_an_exception_during_the_start_ends_in_a_reset(elf: bytes, tmp_path: Path) -> None:
+    """A jump to the handler before the watchdog is set up: it runs with its reset values, 512 ms."""
+    file = tmp_path / "servo.elf"
+    file.write_bytes(elf)
+    padding = b"\x00\xbf" if symbol(file, "gate_start") & 2 else b""  # nop: the address is aligned
+    jump = b"\x00\x48\x00\x47" + (symbol(file, "unexpected") | 1).to_bytes(4, "little")  # ldr r0, [pc]; bx r0
+    with new_board(planted(elf, tmp_path, "gate_start", padding + jump)) as board:
+        board.run(0.1)
+        assert board.peek(TIM2_CCR3) == 0
+        before = board.peek(TIM5_CNT)  # since the start of the clocks
+        board.run(0.5)
+        assert 0 < board.peek(TIM5_CNT) < before
 
 
 def test_a_wrong_converter_input_is_a_fault(elf: bytes) -> None:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stm32_board import (
     BREAK,
+    DBGMCU,
     DMA1,
     DMA2,
     EDGE,
@@ -212,16 +213,27 @@ def test_currents_and_offsets_belong_to_their_motors(board: Stm32Board) -> None:
     assert [call for call, _ in board.calls] == [M1_LOOP, M2_LOOP]
 
 
+def released(board: Stm32Board) -> list[bool]:
+    """Holding brakes with a current."""
+    return [bool(board[GPIO[port] + 0x14] >> pin & 1) for port, pin in (("C", 4), ("B", 2))]
+
+
 def test_a_missing_result_keeps_the_loop_from_running(board: Stm32Board) -> None:
     for axis in (0, 1):
         board.lib.hal_pwm_enable(board.hal, axis, True)
+        board.lib.hal_holding_brake(board.hal, axis, True)
+    board.lib.hal_brake_resistor(board.hal, True)
     board[0x4001_2100] = 1 << 2  # only phase b is done
     for _ in range(4):
         board.lib.port_m1(board.hal)
         assert board.is_on(0)
+        assert released(board) == [True, True]
+        assert board[TIM2 + CCR[3]] < 4096
     board.lib.port_m1(board.hal)
     assert not board.is_on(0)
     assert not board.is_on(1)
+    assert released(board) == [False, False]
+    assert (board[TIM2 + CCR[3]], board[TIM2 + CCR[2]]) == (4097, 0)  # both switches of the resistor are open
     assert not board.calls
 
 
@@ -431,7 +443,7 @@ def test_the_brake_half_bridge_never_has_both_switches_on(board: Stm32Board) -> 
         assert first == (TIM2 + CCR[3], 4097)
         assert second == (TIM2 + CCR[2], 0)
         kinds = [a.address for a in board.accesses]
-        assert kinds[2] == TIM5_CNT  # the dead time, before the next switch
+        assert kinds[4] == TIM5_CNT  # the dead time, before the next switch
         assert rest
         check()
         board.forget()
@@ -441,6 +453,20 @@ def test_the_brake_half_bridge_never_has_both_switches_on(board: Stm32Board) -> 
     high = sum(low_and_high(at)[1] for at in range(4096)) / 4096
     assert high == pytest.approx(0.95, abs=0.002)
     assert board[TIM2 + CCR[3]] - board[TIM2 + CCR[2]] == 42  # 500 ns
+
+
+def test_a_halt_by_a_debugger_does_not_keep_the_resistor_on(board: Stm32Board) -> None:
+    iwdg, carriers = 1 << 12, 1 << 0 | 1 << 1
+    assert (board[DBGMCU + 0x08], board[DBGMCU + 0x0C]) == (iwdg, carriers)
+    board.lib.hal_brake_resistor(board.hal, True)
+    order = [a for a, _ in board.writes]
+    assert (board[DBGMCU + 0x08], board[DBGMCU + 0x0C]) == (0, carriers)
+    assert order.index(DBGMCU + 0x08) < len(order) - 1 - order[::-1].index(TIM2 + CCR[3])  # before the switch closes
+    board.forget()
+    board.lib.hal_brake_resistor(board.hal, False)
+    order = [a for a, _ in board.writes]
+    assert board[DBGMCU + 0x08] == iwdg
+    assert order.index(TIM2 + CCR[3]) < order.index(DBGMCU + 0x08)
 
 
 def test_monitor_outputs(board: Stm32Board) -> None:

@@ -20,16 +20,23 @@ void brake_init(hal_t *hal)
     hal->braking = false;
 }
 
+void brake_open(hal_t *hal)
+{
+    write(hal, TIM_CCR4, BRAKE_NEVER_HIGH);
+    write(hal, TIM_CCR3, 0U);
+}
+
 /* Both switches open for the dead time; then the one that may conduct now. While the resistor is on, the bootstrap
- * capacitor is charged in the rest of each period: the mean voltage is that of 95 % of the bus. */
+ * capacitor is charged in the rest of each period: the mean voltage is that of 95 % of the bus. A debugger that holds
+ * the core would leave it on: the watchdog goes on then. */
 void hal_brake_resistor(hal_t *hal, bool on)
 {
     if (on == hal->braking) {
         return;
     }
     hal->braking = on;
-    write(hal, TIM_CCR4, BRAKE_NEVER_HIGH);
-    write(hal, TIM_CCR3, 0U);
+    brake_open(hal);
+    debug_freeze(hal, !on);
     wait_clocks(hal, CLOCKS_OF_NS(BRAKE_DEAD_NS));
     if (on) {
         write(hal, TIM_CCR4, BRAKE_HIGH_FROM);

@@ -82,10 +82,15 @@ bool clock_init(hal_t *hal)
 
 /* ---- watchdog: it cannot be stopped, except by a debugger that holds the core ------------------------------------ */
 
+/* While a debugger holds the core, the carriers stop, with open switches. */
+void debug_freeze(hal_t *hal, bool watchdog)
+{
+    REG_WRITE(hal, DBGMCU_BASE + DBGMCU_APB1_FZ, watchdog ? DBGMCU_APB1_FZ_IWDG : 0U);
+    REG_WRITE(hal, DBGMCU_BASE + DBGMCU_APB2_FZ, DBGMCU_APB2_FZ_TIM1 | DBGMCU_APB2_FZ_TIM8);
+}
+
 void watchdog_start(hal_t *hal)
 {
-    REG_WRITE(hal, DBGMCU_BASE + DBGMCU_APB1_FZ, DBGMCU_APB1_FZ_IWDG | DBGMCU_APB1_FZ_TIM2);
-    REG_WRITE(hal, DBGMCU_BASE + DBGMCU_APB2_FZ, DBGMCU_APB2_FZ_TIM1 | DBGMCU_APB2_FZ_TIM8);
     REG_WRITE(hal, IWDG_BASE + IWDG_KR, IWDG_KR_START);
     REG_WRITE(hal, IWDG_BASE + IWDG_KR, IWDG_KR_UNLOCK);
     REG_WRITE(hal, IWDG_BASE + IWDG_PR, SET_IWDG_PR);

@@ -21,6 +21,7 @@ static inline uint32_t clocks(hal_t *hal) { return TIM5_CLOCKS * REG_READ(hal, T
 void wait_clocks(hal_t *hal, uint32_t duration);
 
 bool clock_init(hal_t *hal);
+void debug_freeze(hal_t *hal, bool watchdog); /* what stops with the core in a debugger */
 void watchdog_start(hal_t *hal);
 void pins_init(hal_t *hal);
 void interrupts_init(hal_t *hal);
@@ -40,6 +41,9 @@ bool pwm_run(hal_t *hal);
 void switches_open(hal_t *hal, uint16_t axis); /* at once, from any interrupt */
 
 void brake_init(hal_t *hal);
+void brake_open(hal_t *hal); /* both switches of the half bridge */
+
+void outputs_off(hal_t *hal); /* all switches open, holding brakes without current, in any state of the port */
 
 void adc_init(hal_t *hal);
 void adc_arm(hal_t *hal);

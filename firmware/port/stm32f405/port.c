@@ -9,8 +9,19 @@
 
 #define LOOPS 2U /* M1 and M2 */
 
+/* Out of an exception, too, when `hal` may not be set yet. */
+void outputs_off(hal_t *hal)
+{
+    REG_WRITE(hal, TIM1_BASE + TIM_BDTR, SET_PWM_BDTR_OFF);
+    REG_WRITE(hal, TIM8_BASE + TIM_BDTR, SET_PWM_BDTR_OFF);
+    brake_open(hal);
+    for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
+        hal_holding_brake(hal, axis, false);
+    }
+}
+
 /* After a lost result the duty cycles stay constant for one period while the converters start again. After repeated
- * losses the switches open, and the watchdog, which only running loops serve, resets the board. */
+ * losses all outputs are off, and the watchdog, which only running loops serve, resets the board. */
 static void sequence_lost(hal_t *hal)
 {
     hal->losses = (uint16_t)(hal->losses + LOSS);
@@ -18,9 +29,7 @@ static void sequence_lost(hal_t *hal)
         adc_arm(hal);
         return;
     }
-    for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
-        switches_open(hal, axis);
-    }
+    outputs_off(hal);
 }
 
 /* Pairs of loops omitted since the last M1. The application detects a single omitted loop. */

@@ -40,6 +40,7 @@ void interrupts_init(hal_t *hal) { PORT_VECTORS(ENABLE) }
 /* The switches are open before a pin is given to a timer. */
 static bool peripherals_init(hal_t *hal)
 {
+    debug_freeze(hal, true);
     if (!clock_init(hal)) {
         return false;
     }

@@ -70,12 +70,13 @@ BOOT void image_reset(void)
     static void isr_##handler(void) { handler(&hal); }
 PORT_VECTORS(HANDLER)
 
-/* An exception of the core, the failure of the crystal among them: the switches open, and the watchdog resets the board.
+/* An exception of the core, the failure of the crystal among them: the outputs are off, and the watchdog resets the board:
+ * during the start, before watchdog_start(), with the time of its reset values, half a second.
  * An interrupt that is not in the table ends here as a fault of the core. */
 static void unexpected(void)
 {
-    REG_WRITE(&hal, TIM1_BASE + TIM_BDTR, SET_PWM_BDTR_OFF);
-    REG_WRITE(&hal, TIM8_BASE + TIM_BDTR, SET_PWM_BDTR_OFF);
+    outputs_off(&hal);
+    REG_WRITE(&hal, IWDG_BASE + IWDG_KR, IWDG_KR_START);
     for (;;) {
     }
 }
