@@ -11,9 +11,11 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#if defined(BOARD_ODRIVE36)
-#define FLASH_DATA_SECTORS 3u /* 1 to 3 of the program flash */
-#define FLASH_DATA_SECTOR_WORDS 4096u
+#include "config/board_gen.h"
+
+#if defined(BOARD_ODRIVE36) /* of the program flash, what the firmware uses as storage */
+#define FLASH_DATA_SECTORS ((uint32_t)BOARD_FLASH_SECTORS)
+#define FLASH_DATA_SECTOR_WORDS ((uint32_t)BOARD_FLASH_SECTOR_WORDS)
 #else
 #define FLASH_DATA_SECTORS 32u
 #define FLASH_DATA_SECTOR_WORDS 256u

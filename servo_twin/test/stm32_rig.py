@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from native_library import NATIVE, Native, compile_c
+from servo_twin._build_native import generated_for
 
 FIRMWARE = NATIVE.parents[1] / "firmware"
 NEVER = (1 << 64) - 1
@@ -166,7 +167,7 @@ def build(folder: Path) -> Native:
         "_stm32_under_test",
         ["chip/environment.h", "chip/trace.h"],
         sources,
-        (NATIVE, FIRMWARE),
+        (generated_for("odrive36", folder / "generated"), NATIVE, FIRMWARE),
         ["BOARD_ODRIVE36"],
         CDEF,
         PREAMBLE,

@@ -351,7 +351,7 @@ def test_programming_needs_its_bit_and_its_size(stm32: Stm32Rig) -> None:
     assert stored(stm32, SECTOR_1) == 0xFFFF_FFFF
 
 
-@pytest.mark.parametrize("sector", [0, 4, 11])
+@pytest.mark.parametrize("sector", [0, 3, 4, 11])
 def test_the_program_is_not_erased(stm32: Stm32Rig, sector: int) -> None:
     unlock(stm32)
     with pytest.raises(Stm32Error, match=f"sector {sector} of the flash"):

@@ -1,4 +1,4 @@
-/* flash_control.h - the flash interface: wait states, erase and program of sectors 1 to 3 (flash.h), which the firmware uses as storage.
+/* flash_control.h - the flash interface: wait states, erase and program of the sectors that the firmware uses as storage (flash.h).
  *
  * The memory has one bank: while a command runs, a read of the flash waits for its end, and so does the core, which executes from
  * there. A command on another sector would change the program and is an error.
