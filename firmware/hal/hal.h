@@ -41,7 +41,7 @@ typedef struct {
     uint16_t second; /* code of the second phase of the pair */
 } adc_pair_t;
 
-/* Encoder counter and free-running time stamp, both captured at the same B edge (DRM F17). */
+/* Encoder counter and free-running time stamp, both captured at the same B edge. */
 typedef struct {
     uint16_t count; /* encoder counts, 16 bits */
     uint16_t time; /* periods of BOARD_TIMER_CLOCK_HZ */
@@ -107,26 +107,25 @@ void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value);
 
 /* ---- encoder timers (DRM 2.4, F10) ---------------------------------------------------------------------------- */
 
-/* Start TMRx0 at 0; it reloads 0 after `period` counts in either direction, 400..32768: COMP1 = period - 1,
- * COMP2 = 1 - period. Not in RUN. */
+/* Start the counter at 0; it reloads 0 after `period` counts in either direction, 400..32768. Not in RUN. */
 void hal_encoder_start(hal_t *hal, uint16_t axis, uint16_t period);
 
-/* TMRx0: quadrature count, 0..3999 upwards, 0..-3999 (two's complement) downwards, reload 0 (F12, period 4000). */
+/* Quadrature count: 0..period - 1 upwards, 0..1 - period (two's complement) downwards, reload 0. */
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis);
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 
-/* TMRx2: number of emulated index pulses, counts upwards in both directions of rotation (F13). */
+/* Number of emulated index pulses, counts upwards in both directions of rotation. */
 uint16_t hal_index_count(hal_t *hal, uint16_t axis);
 
-/* Clear the capture flags of TMRx0/1/3 and arm the B-edge interrupt; the next B edge is captured, later ones are not. */
+/* Arm the B-edge interrupt: the next B edge is captured, later ones are not. */
 void hal_capture_arm(hal_t *hal, uint16_t axis);
 
 /* If a B edge has been captured since arming: store it, disarm the interrupt and return true. A second call before the
  * next arming returns false. */
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
 
-/* TMRx3: time since the last captured B edge in periods of BOARD_TIMER_CLOCK_HZ; HAL_EDGE_AGE_OVERFLOW once 16 bits are
- * not enough (F19). */
+/* Time since the last captured B edge in periods of BOARD_TIMER_CLOCK_HZ; HAL_EDGE_AGE_OVERFLOW once 16 bits are not
+ * enough. */
 #define HAL_EDGE_AGE_OVERFLOW UINT32_C(0x10000)
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 

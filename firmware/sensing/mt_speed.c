@@ -66,7 +66,7 @@ void mt_speed_slow(mt_speed_t *mt, uint32_t age, bool enhanced)
     }
     mt->waited = age;
     if (age >= HAL_EDGE_AGE_OVERFLOW) {
-        /* Below 0.36 rpm: standstill. The next edge starts a new measurement, because its interval would be
+        /* No edge within 16 bits: standstill. The next edge starts a new measurement, because its interval would be
          * ambiguous. */
         mt->primed = false;
         mt->edge_speed = 0;

@@ -1,7 +1,7 @@
 /* mt_speed.h - speed by the M/T method, plain or enhanced (DRM 2.4.4..2.4.6, E33, F17..F19).
  *
  *   omega_m = 2 pi M1 f_timer / (N M2)    M1: counts and M2: time between two captured edges,
- *                                         N: counts per turn, f_timer: bus clock / 128
+ *                                         N: counts per turn, f_timer: BOARD_TIMER_CLOCK_HZ
  */
 #ifndef SERVO_SENSING_MT_SPEED_H
 #define SERVO_SENSING_MT_SPEED_H
@@ -17,8 +17,8 @@ typedef struct {
     edge_capture_t last; /* count and time of the last captured edge */
     bool primed;         /* `last` is valid: the timer has not overflowed since */
     bool fresh;          /* an edge was captured since the last slow loop */
-    uint16_t interval;   /* M2 of the last speed: time between edges, ticks of bus clock / 128 */
-    uint32_t waited;     /* age of the last edge at the last slow loop without a new one, ticks of bus clock / 128 */
+    uint16_t interval;   /* M2 of the last speed: time between edges, ticks of the timer */
+    uint32_t waited;     /* age of the last edge at the last slow loop without a new one, ticks of the timer */
     frac32_t edge_speed; /* speed between the last two captured edges, Q1.31 of full-scale speed */
     frac32_t speed;      /* measured speed, Q1.31 of full-scale speed */
 } mt_speed_t;
