@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from targets.comparison import Expectation
-from targets.machines import Target, missing_text
+from targets.machines import CortexM4, Target, missing_text
 from targets.recording import Arithmetic, Recorder, Recording
 from targets.scenarios import SCENARIOS
 from targets.sources import Sources
@@ -111,3 +111,9 @@ def needs() -> Callable[[Target], None]:
             pytest.skip(missing_text(target))
 
     return check
+
+
+@pytest.fixture(scope="session")
+def cortex_m4_tools(needs: Callable[[Target], None]) -> None:
+    """Skip a test without the tools of a Cortex-M4, before fixtures of its module use them."""
+    needs(CortexM4("-O2"))

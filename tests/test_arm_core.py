@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from targets.arm_cases import Case, assembly, random_cases
-from targets.machines import CORTEX_M4, QEMU_M4, ArmProgram, CortexM4, Target, build_arm_simulator, build_cortex
+from targets.machines import CORTEX_M4, QEMU_M4, ArmProgram, build_arm_simulator, build_cortex
 from targets.sources import Sources
 from targets.toolchain import TargetError, run
 
@@ -17,17 +16,12 @@ SEED = 1
 PER_GROUP = 60
 TIMEOUT = 60.0
 
-pytestmark = pytest.mark.usefixtures("tools")
+pytestmark = pytest.mark.usefixtures("cortex_m4_tools")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("arm")
-
-
-@pytest.fixture
-def tools(needs: Callable[[Target], None]) -> None:
-    needs(CortexM4("-O2"))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import pytest
 from servo_twin.board import Board, BoardError, ChipError
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.simulation import keep_set_points
-from targets.machines import CortexM4, Target
 from targets.sources import ROOT
 from targets.toolchain import run
 
@@ -20,12 +19,7 @@ TIMELESS = replace(CoreSpeed.load(), cycles_per_instruction=1e-6, entry_cycles=0
 MS = 1_000_000
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
 
-pytestmark = pytest.mark.usefixtures("tools")
-
-
-@pytest.fixture
-def tools(needs: Callable[[Target], None]) -> None:
-    needs(CortexM4("-O2"))
+pytestmark = pytest.mark.usefixtures("cortex_m4_tools")
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,6 @@ from servo_twin._build_native import generated_for
 from servo_twin.board import Board, BoardError
 from servo_twin.plant import DEFAULT_FILE, PlantConfig, on_board
 from servo_twin.simulation import keep_set_points
-from targets.machines import CortexM4, Target
 from targets.sources import ROOT
 from targets.toolchain import run
 from test_board_elf import planted, symbol
@@ -23,12 +22,7 @@ MS = 1_000_000
 ADC2_JSQR, TIM2_CCR3, TIM5_CNT = 0x4001_2138, 0x4000_003C, 0x4000_0C24
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
 
-pytestmark = pytest.mark.usefixtures("tools")
-
-
-@pytest.fixture
-def tools(needs: Callable[[Target], None]) -> None:
-    needs(CortexM4("-O2"))
+pytestmark = pytest.mark.usefixtures("cortex_m4_tools")
 
 
 @pytest.fixture(scope="module")
@@ -94,20 +88,6 @@ def test_an_over_current_is_latched_in_the_gate_driver(elf: bytes) -> None:
         assert all(abs(board.truth(axis).i_q) < 1e-6 for axis in (0, 1))
 
 
-def test_parameters_are_stored_while_the_loops_run(elf: bytes, board: Board) -> None:
-    """An erase takes 250 ms; the program is in SRAM and goes on. Another board starts with the stored values."""
-    board.run(0.05)
-    board.write_raw("storage.request", [1, 0x1234])
-    board.run(0.4)
-    assert board.read("storage.answered") == 0x1234
-    assert board.read("storage.refusal") == 0
-    assert board.read("late_loops") == 0
-    with new_board(elf, board.flash_image()) as other:
-        other.run(0.01)
-        assert board.read("storage.source") == 0
-        assert other.read("storage.source") == 1
-
-
 def test_state_continues_with_the_same_bits(board: Board) -> None:
     enabled(board)
     for instant in (561_234_560, 561_265_870):
@@ -159,8 +139,8 @@ def test_the_board_needs_its_program() -> None:
         Board(level="registers", catalogue=Catalogue.load(board=ODRIVE))
 
 
-def test_a_save_stalls_no_loop_and_loses_no_byte(board: Board) -> None:
-    """Nothing is fetched from the flash while it is erased: every tick comes, and the watchdog is served."""
+def test_a_save_stalls_no_loop_and_loses_no_byte(elf: bytes, board: Board) -> None:
+    """Nothing is fetched from the flash while it is erased (250 ms). Another board starts with the stored values."""
     board.run(0.05)
     assert board.read("tick") == 800
     services = board.stats().watchdog_services
@@ -174,3 +154,7 @@ def test_a_save_stalls_no_loop_and_loses_no_byte(board: Board) -> None:
     assert board.stats().watchdog_services - services == 840
     assert board.read("late_loops") == 0
     assert (board.read("storage.answered"), board.read("storage.refusal"), board.read("storage.saves")) == (7, 0, 1)
+    with new_board(elf, board.flash_image()) as other:
+        other.run(0.01)
+        assert board.read("storage.source") == 0
+        assert other.read("storage.source") == 1
