@@ -9,7 +9,7 @@ from c_declarations import declarations
 from firmware_compiler import FIRMWARE, TEST, CompileC
 from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.codegen import outputs
+from servo_msgs_py.codegen import c_files, update
 
 BOARD: Final = "odrive36"
 PORT: Final = FIRMWARE / "port" / "stm32f405"
@@ -40,12 +40,8 @@ class Access(NamedTuple):
 
 def generated(folder: Path) -> Path:
     """Generated files of the firmware for the board in a folder."""
-    files = outputs(FIRMWARE, Catalogue.load(board=BoardDescription.load(BOARD)))
-    for path, text in files.items():
-        if path.suffix in (".c", ".h"):
-            target = folder / path.relative_to(FIRMWARE)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(text, encoding="utf-8")
+    files = c_files(FIRMWARE, Catalogue.load(board=BoardDescription.load(BOARD)))
+    update(((folder / path, text) for path, text in files.items()), check=False)
     return folder
 
 

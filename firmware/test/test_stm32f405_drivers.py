@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
+from pathlib import Path
 
 import pytest
 from firmware_compiler import CompileC
@@ -41,13 +42,13 @@ LIMIT = 1489  # codes of 30 A
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> object:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return generated(tmp_path_factory.mktemp("odrive36"))
 
 
 @pytest.fixture
-def board(compile_c: CompileC, folder: object) -> Stm32Board:
-    return Stm32Board(compile_c, folder)  # type: ignore[arg-type]
+def board(compile_c: CompileC, folder: Path) -> Stm32Board:
+    return Stm32Board(compile_c, folder)
 
 
 def background(board: Stm32Board, seconds: float = 0.0) -> None:
@@ -79,8 +80,8 @@ def interrupted(board: Stm32Board, at: int, call: Callable[[], object], handler:
 # ---- start ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_start_has_the_safe_order(compile_c: CompileC, folder: object) -> None:
-    board = Stm32Board(compile_c, folder, initialised=False)  # type: ignore[arg-type]
+def test_the_start_has_the_safe_order(compile_c: CompileC, folder: Path) -> None:
+    board = Stm32Board(compile_c, folder, initialised=False)
     assert board.init()
     writes = [(a, v) for kind, a, v in board.accesses if kind == WRITE]
     order = [a for a, _ in writes]
@@ -108,8 +109,8 @@ def test_the_start_has_the_safe_order(compile_c: CompileC, folder: object) -> No
     assert (board[IWDG + 4], board[IWDG + 8]) == (0, 400)  # 50 ms of 32 kHz / 4
 
 
-def test_a_pll_that_the_boot_loader_has_left_on_gets_its_settings(compile_c: CompileC, folder: object) -> None:
-    board = Stm32Board(compile_c, folder, initialised=False)  # type: ignore[arg-type]
+def test_a_pll_that_the_boot_loader_has_left_on_gets_its_settings(compile_c: CompileC, folder: Path) -> None:
+    board = Stm32Board(compile_c, folder, initialised=False)
     board[0x4002_3800], board[0x4002_3804], board[0x4002_3808] = 0x030B_0083, 0x2740_1E04, 0x100A
     assert board.init()
     assert board[0x4002_3804] == 0x0740_2A04
@@ -258,8 +259,8 @@ def test_the_drivers_have_gain_80_and_latch_at_the_lowest_threshold(board: Stm32
     assert not board.lib.hal_over_current_active(board.hal, 0)
 
 
-def test_single_lost_writes_do_not_matter(compile_c: CompileC, folder: object) -> None:
-    board = Stm32Board(compile_c, folder, initialised=False)  # type: ignore[arg-type]
+def test_single_lost_writes_do_not_matter(compile_c: CompileC, folder: Path) -> None:
+    board = Stm32Board(compile_c, folder, initialised=False)
     board.chip.lost_writes = 4
     assert board.init()
     assert not board.lib.hal_over_current_active(board.hal, 0)
@@ -338,8 +339,8 @@ def test_a_fault_while_an_over_current_is_cleared_is_not_lost(board: Stm32Board)
     assert not lib.hal_over_current_active(hal, 0)
 
 
-def test_drivers_that_have_not_started_keep_the_switches_open(compile_c: CompileC, folder: object) -> None:
-    board = Stm32Board(compile_c, folder, initialised=False)  # type: ignore[arg-type]
+def test_drivers_that_have_not_started_keep_the_switches_open(compile_c: CompileC, folder: Path) -> None:
+    board = Stm32Board(compile_c, folder, initialised=False)
     board.chip.lost_writes = 1_000_000  # no supply of the bus
     assert board.init()
     for axis in (0, 1):
@@ -513,8 +514,8 @@ def test_counts_and_index_pulses_are_those_of_the_dsc(
 
 
 @pytest.fixture(scope="module")
-def encoder_board(compile_c: CompileC, folder: object) -> Stm32Board:
-    return Stm32Board(compile_c, folder)  # type: ignore[arg-type]
+def encoder_board(compile_c: CompileC, folder: Path) -> Stm32Board:
+    return Stm32Board(compile_c, folder)
 
 
 def edge(board: Stm32Board, axis: int, raw: int, clock: int) -> None:
@@ -705,8 +706,8 @@ def test_sent_bytes_leave_in_order_in_transfers_up_to_the_end_of_the_ring(board:
 @pytest.mark.parametrize(
     ("baud", "divider"), [(0, 0x16D), (115200, 0x16D), (1_000_000, 0x2A), (2_000_000, 0x15), (9_000_000, 0x15)]
 )
-def test_baud_rates(compile_c: CompileC, folder: object, baud: int, divider: int) -> None:
-    board = Stm32Board(compile_c, folder, initialised=False)  # type: ignore[arg-type]
+def test_baud_rates(compile_c: CompileC, folder: Path, baud: int, divider: int) -> None:
+    board = Stm32Board(compile_c, folder, initialised=False)
     board.hal.baud = baud
     assert board.init()
     assert board[USART2 + 8] == divider

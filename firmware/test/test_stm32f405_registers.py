@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -37,41 +37,41 @@ PERIPHERALS: Final = {
 ADVANCED: Final = ("TIM1", "TIM8")
 """The only timers with complementary outputs."""
 
-INDEXED: Final = {
-    "GPIO_MODER_MODER": ("MODER{n}", range(16)),
-    "GPIO_OSPEEDR_OSPEEDR": ("OSPEEDR{n}", range(16)),
-    "GPIO_PUPDR_PUPDR": ("PUPDR{n}", range(16)),
-    "GPIO_IDR_IDR": ("IDR{n}", range(16)),
-    "GPIO_ODR_ODR": ("ODR{n}", range(16)),
-    "GPIO_BSRR_BS": ("BS{n}", range(16)),
-    "GPIO_BSRR_BR": ("BR{n}", range(16)),
-    "GPIO_AFRL_AFRL": ("AFRL{n}", range(8)),
-    "GPIO_AFRH_AFRH": ("AFRH{n}", range(8, 16)),
-    "SYSCFG_EXTICR": ("EXTICR{n//4+1}", range(16)),
-    "SYSCFG_EXTICR_EXTI": ("EXTI{n}", range(16)),
-    "EXTI_IMR_MR": ("MR{n}", range(16)),
-    "EXTI_RTSR_TR": ("TR{n}", range(16)),
-    "EXTI_FTSR_TR": ("TR{n}", range(16)),
-    "EXTI_SWIER_SWIER": ("SWIER{n}", range(16)),
-    "EXTI_PR_PR": ("PR{n}", range(16)),
-    "DMA_ISR": ("{'LH'[n//4]}ISR", range(8)),
-    "DMA_IFCR": ("{'LH'[n//4]}IFCR", range(8)),
-    "DMA_ISR_FEIF": ("FEIF{n}", range(8)),
-    "DMA_ISR_DMEIF": ("DMEIF{n}", range(8)),
-    "DMA_ISR_TEIF": ("TEIF{n}", range(8)),
-    "DMA_ISR_HTIF": ("HTIF{n}", range(8)),
-    "DMA_ISR_TCIF": ("TCIF{n}", range(8)),
-    "DMA_SCR": ("S{n}CR", range(8)),
-    "DMA_SNDTR": ("S{n}NDTR", range(8)),
-    "DMA_SPAR": ("S{n}PAR", range(8)),
-    "DMA_SM0AR": ("S{n}M0AR", range(8)),
-    "DMA_SFCR": ("S{n}FCR", range(8)),
-    "NVIC_ISER": ("ISER{n//32}", range(82)),
-    "NVIC_ICER": ("ICER{n//32}", range(82)),
-    "NVIC_ISPR": ("ISPR{n//32}", range(82)),
-    "NVIC_ICPR": ("ICPR{n//32}", range(82)),
-    "NVIC_IPR": ("IPR{n//4}", range(82)),
-    "NVIC_IPR_IPR": ("IPR_N{n%4}", range(82)),
+INDEXED: Final[Mapping[str, tuple[Callable[[int], str], range]]] = {
+    "GPIO_MODER_MODER": (lambda n: f"MODER{n}", range(16)),
+    "GPIO_OSPEEDR_OSPEEDR": (lambda n: f"OSPEEDR{n}", range(16)),
+    "GPIO_PUPDR_PUPDR": (lambda n: f"PUPDR{n}", range(16)),
+    "GPIO_IDR_IDR": (lambda n: f"IDR{n}", range(16)),
+    "GPIO_ODR_ODR": (lambda n: f"ODR{n}", range(16)),
+    "GPIO_BSRR_BS": (lambda n: f"BS{n}", range(16)),
+    "GPIO_BSRR_BR": (lambda n: f"BR{n}", range(16)),
+    "GPIO_AFRL_AFRL": (lambda n: f"AFRL{n}", range(8)),
+    "GPIO_AFRH_AFRH": (lambda n: f"AFRH{n}", range(8, 16)),
+    "SYSCFG_EXTICR": (lambda n: f"EXTICR{n // 4 + 1}", range(16)),
+    "SYSCFG_EXTICR_EXTI": (lambda n: f"EXTI{n}", range(16)),
+    "EXTI_IMR_MR": (lambda n: f"MR{n}", range(16)),
+    "EXTI_RTSR_TR": (lambda n: f"TR{n}", range(16)),
+    "EXTI_FTSR_TR": (lambda n: f"TR{n}", range(16)),
+    "EXTI_SWIER_SWIER": (lambda n: f"SWIER{n}", range(16)),
+    "EXTI_PR_PR": (lambda n: f"PR{n}", range(16)),
+    "DMA_ISR": (lambda n: f"{'LH'[n // 4]}ISR", range(8)),
+    "DMA_IFCR": (lambda n: f"{'LH'[n // 4]}IFCR", range(8)),
+    "DMA_ISR_FEIF": (lambda n: f"FEIF{n}", range(8)),
+    "DMA_ISR_DMEIF": (lambda n: f"DMEIF{n}", range(8)),
+    "DMA_ISR_TEIF": (lambda n: f"TEIF{n}", range(8)),
+    "DMA_ISR_HTIF": (lambda n: f"HTIF{n}", range(8)),
+    "DMA_ISR_TCIF": (lambda n: f"TCIF{n}", range(8)),
+    "DMA_SCR": (lambda n: f"S{n}CR", range(8)),
+    "DMA_SNDTR": (lambda n: f"S{n}NDTR", range(8)),
+    "DMA_SPAR": (lambda n: f"S{n}PAR", range(8)),
+    "DMA_SM0AR": (lambda n: f"S{n}M0AR", range(8)),
+    "DMA_SFCR": (lambda n: f"S{n}FCR", range(8)),
+    "NVIC_ISER": (lambda n: f"ISER{n // 32}", range(82)),
+    "NVIC_ICER": (lambda n: f"ICER{n // 32}", range(82)),
+    "NVIC_ISPR": (lambda n: f"ISPR{n // 32}", range(82)),
+    "NVIC_ICPR": (lambda n: f"ICPR{n // 32}", range(82)),
+    "NVIC_IPR": (lambda n: f"IPR{n // 4}", range(82)),
+    "NVIC_IPR_IPR": (lambda n: f"IPR_N{n % 4}", range(82)),
 }
 """Names in the description of what depends on a number."""
 
@@ -212,7 +212,8 @@ def svd_register(name: str, n: int | None) -> tuple[str, str]:
 def renamed(name: str, n: int | None, plain: str) -> str:
     """Name in the description: with its number, or another one, or the plain one."""
     if name in INDEXED:
-        return str(eval(f"f{INDEXED[name][0]!r}", {"n": n}))
+        assert n is not None
+        return INDEXED[name][0](n)
     return RENAMED.get(name) or plain
 
 

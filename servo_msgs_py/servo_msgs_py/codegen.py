@@ -344,6 +344,12 @@ def outputs(firmware: Path, catalogue: Catalogue) -> dict[Path, str]:
     }
 
 
+def c_files(firmware: Path, catalogue: Catalogue) -> dict[Path, str]:
+    """Generated files of the firmware by their paths in its folder, and their contents."""
+    files = outputs(firmware, catalogue).items()
+    return {path.relative_to(firmware): text for path, text in files if path.suffix in (".c", ".h")}
+
+
 def update(files: Iterable[tuple[Path, str]], *, check: bool) -> int:
     """Write files with changed contents, with `check` only report them; returns their number."""
     stale = 0
@@ -377,12 +383,13 @@ def main(argv: list[str] | None = None) -> int:
     if not args.firmware.is_dir():
         parser.error(f"no firmware folder at {args.firmware}")
     board = BoardDescription.load()
-    files = outputs(args.firmware, Catalogue.load())
+    catalogue = Catalogue.load()
     if args.output:
-        c_files = {path.relative_to(args.firmware): text for path, text in files.items() if path.suffix in (".c", ".h")}
-        files = {args.output / path: text for path, text in c_files.items()}
+        files = {args.output / path: text for path, text in c_files(args.firmware, catalogue).items()}
     elif board.name != DEFAULT_BOARD:
         parser.error(f"the files in the checkout are for {DEFAULT_BOARD}; write those for {board.name} to an --output")
+    else:
+        files = outputs(args.firmware, catalogue)
     stale = update(files.items(), check=args.check)
     return 1 if args.check and stale else 0
 
