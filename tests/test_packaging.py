@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from servo_twin._build_native import OPTIONS, build_identity, generated_for
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -283,6 +284,22 @@ def test_constraints_satisfy_every_requirement(python: str) -> None:
         assert requirement.specifier.contains(pinned[name]), f"{where} requires {requirement}"
 
 
+def test_the_build_of_the_boards_requires_what_the_generators_import() -> None:
+    """The build of servo_twin runs programs of servo_msgs_py, without the packages of the installation."""
+    build = tomllib.loads((ROOT / "servo_twin" / "pyproject.toml").read_text())["build-system"]["requires"]
+    assert set(setup_arguments("servo_msgs_py")["install_requires"]) <= set(build)
+
+
+def test_generators_find_the_packages_of_an_isolated_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """pip passes them in PYTHONPATH."""
+    (tmp_path / "path").mkdir()
+    started = f"import os\nopen(os.path.join({str(tmp_path)!r}, f'{{os.getpid()}}.started'), 'w').close()\n"
+    (tmp_path / "path" / "sitecustomize.py").write_text(started)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "path"))
+    generated_for("odrive36", tmp_path / "generated")
+    assert len([*tmp_path.glob("*.started")]) == 2
+
+
 # ---- executables ----------------------------------------------------------------------------------------------------
 
 
@@ -467,13 +484,15 @@ def test_every_test_is_collected_by_the_pytest_of_ubuntu(pytest_of_ubuntu: dict[
 
 
 def test_the_board_is_linked_with_any_folder_of_temporary_files(tmp_path: Path) -> None:
-    """A makefile that gcc writes there for -flto=auto has its name without quotes."""
+    """A makefile that gcc writes there for -flto=auto has its name without quotes. The identity is the same."""
     (folder := tmp_path / "it's a folder").mkdir()
     (tmp_path / "one.c").write_text("int other(void);\nint main(void) { return other(); }\n")
     (tmp_path / "other.c").write_text("int other(void) { return 0; }\n")
     code = (
-        "import subprocess; from servo_twin._build_native import COMPILER, OPTIONS; "
-        "raise SystemExit(subprocess.run([*COMPILER, *OPTIONS, 'one.c', 'other.c', '-o', 'program']).returncode)"
+        "import subprocess; from servo_twin._build_native import *; print(build_identity([], OPTIONS)); "
+        "raise SystemExit(subprocess.run([*COMPILER, *CFLAGS, 'one.c', 'other.c', '-o', 'program']).returncode)"
     )
     environment = {**clean_environment(), "TMPDIR": str(folder)}
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)
+    linked = run(sys.executable, "-c", code, cwd=tmp_path, env=environment)
+    assert linked.returncode == 0, linked.stderr
+    assert linked.stdout.strip() == build_identity([], OPTIONS)

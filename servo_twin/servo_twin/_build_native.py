@@ -22,8 +22,13 @@ from cffi import FFI
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of ``setup.py``, independent of the working directory."""
 
-if str(PACKAGE) not in sys.path:  # setuptools runs this file as a script
-    sys.path.insert(0, str(PACKAGE))
+CONTRACT = PACKAGE.parent / "servo_msgs_py"
+
+for folder in map(str, (PACKAGE, CONTRACT)):  # setuptools runs this file as a script
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+
+from servo_msgs_py.board_description import VARIABLE  # noqa: E402
 
 from servo_twin._board_pointers import write_pointers  # noqa: E402
 from servo_twin._core_time import write_charged  # noqa: E402
@@ -36,10 +41,14 @@ PORT = FIRMWARE / "port" / "mc56f84789"
 # -ffp-contract=off: identical results on every processor. -fno-math-errno and -fno-trapping-math do not change results.
 # -fno-tree-vectorize (below): vectors of two doubles are slower in this code, a chain of dependent operations.
 _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-# gcc optimizes on several cores with a makefile, in which it does not quote the folder of temporary files.
-_LINKING = "-flto=auto" if re.fullmatch(r"[\w@%+,./-]*", tempfile.gettempdir(), re.ASCII) else "-flto"
 # -O3 of gcc is 5 % slower.
-OPTIONS = ("-std=c99", "-O2", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", _LINKING)
+_CODE = ("-std=c99", "-O2", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden")
+OPTIONS = (*_CODE, "-flto=auto")
+"""Options on every machine: those of the identity of a build."""
+
+# gcc optimizes on several cores with a makefile, in which it does not quote the folder of temporary files.
+CFLAGS = OPTIONS if re.fullmatch(r"[\w@%+,./-]*", tempfile.gettempdir(), re.ASCII) else (*_CODE, "-flto")
+"""`OPTIONS` for the compiler of this machine."""
 
 COMPILER = sysconfig.get_config_var("CC").split()
 """Compiler of the extension modules."""
@@ -126,12 +135,12 @@ def make_ffi(
     The first file of `native` includes the definition of ``struct board``.
     """
     files, headers = board_files(native, sources)
-    compiled = [*OPTIONS, *WARNINGS, *options, *EXTRA]
+    further = [*WARNINGS, *options, *EXTRA]
     pointers = write_pointers(
         native[0],
         [*include, NATIVE, FIRMWARE],
         options,
-        build_identity([*files, *headers], compiled),
+        build_identity([*files, *headers], [*OPTIONS, *further]),
         PACKAGE / "build" / "pointers" / module,
     )
     builder = FFI()
@@ -144,7 +153,7 @@ def make_ffi(
         include_dirs=_relative([*include, NATIVE, FIRMWARE, pointers.parent]),
         depends=_relative([*headers, pointers]),
         libraries=["m"],
-        extra_compile_args=[*compiled, f"-isystem{sysconfig.get_paths()['include']}"],
+        extra_compile_args=[*CFLAGS, *further, f"-isystem{sysconfig.get_paths()['include']}"],
         extra_link_args=[*EXTRA, *link],
     )
     return builder
@@ -168,7 +177,9 @@ def charged_sources() -> list[Path]:
 
 def generated_for(board: str, folder: Path) -> Path:
     """Write the generated files of the firmware for another board into a folder, which is returned."""
-    environment = {**os.environ, "SERVO_BOARD": board, "PYTHONPATH": str(PACKAGE.parent / "servo_msgs_py")}
+    inherited = os.environ.get("PYTHONPATH", "")  # of pip: the requirements of the build
+    path = f"{CONTRACT}{os.pathsep}{inherited}" if inherited else str(CONTRACT)
+    environment = {**os.environ, VARIABLE: board, "PYTHONPATH": path}
     config = FIRMWARE / "config"
     source = folder / "config" / "servo_config_gen.c"
     commands: list[list[str | Path]] = [

@@ -17,6 +17,7 @@ from servo_msgs_py.quantity import Quantity
 
 from servo_twin._board_pointers import write_pointers
 from servo_twin._build_native import (
+    CFLAGS,
     COMPILER,
     EXTRA,
     FIRMWARE,
@@ -284,9 +285,7 @@ def exported_board(
             library = generated / f"{name}.so"
             include = [f"-I{folder}" for folder in (NATIVE, FIRMWARE, generated)]
             # Libraries are after the files that need them.
-            _compile(
-                [*OPTIONS, *WARNINGS, *EXTRA, "-fPIC", "-shared", *include, *files, *options, "-lm", "-o", library]
-            )
+            _compile([*CFLAGS, *WARNINGS, *EXTRA, "-fPIC", "-shared", *include, *files, *options, "-lm", "-o", library])
         except FileNotFoundError as error:
             raise SimulationError(f"no program {error.filename}; install a C compiler") from None
         yield ExportedBoard(variables, token, library, files, [*headers, header, pointers])

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin._build_native import NATIVE, OPTIONS, WARNINGS
+from servo_twin._build_native import CFLAGS, NATIVE, WARNINGS
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 SOURCE: Final = Path(__file__).parent / "plant" / "bench_plant.c"
@@ -43,7 +43,7 @@ def run(periods: int, *options: str) -> str:
         program = str(Path(folder) / "bench_plant")
         sources = [str(path) for path in [*sorted((NATIVE / "plant").glob("*.c")), SOURCE]]
         subprocess.run(
-            [*compiler, *OPTIONS, *WARNINGS, *options, f"-I{NATIVE}", *sources, "-o", program, "-lm"], check=True
+            [*compiler, *CFLAGS, *WARNINGS, *options, f"-I{NATIVE}", *sources, "-o", program, "-lm"], check=True
         )
         return subprocess.run([program, str(periods)], check=True, capture_output=True, text=True).stdout
 
