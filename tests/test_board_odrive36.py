@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.board_description import BoardDescription
+import serial
+from servo_msgs_py.board_description import VARIABLE, BoardDescription
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.text_file import read_toml
 from servo_twin._build_native import generated_for
 from servo_twin.board import Board, BoardError
@@ -137,6 +143,22 @@ def test_a_wrong_converter_input_is_a_fault(elf: bytes) -> None:
 def test_the_board_needs_its_program() -> None:
     with pytest.raises(BoardError, match="ELF file"):
         Board(level="registers", catalogue=Catalogue.load(board=ODRIVE))
+
+
+def test_the_program_simulates_the_board_of_the_environment(elf: bytes, tmp_path: Path) -> None:
+    (program := tmp_path / "servo.elf").write_bytes(elf)
+    command = with_parent_death_signal([sys.executable, "-m", "servo_twin.virtual_board", "--elf", str(program)])
+    environment = {**os.environ, VARIABLE: "odrive36"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            assert process.stdout is not None
+            port = re.search(r"/dev/pts/\d+", process.stdout.readline())
+            assert port is not None
+            with serial.Serial(port[0], 115200, timeout=20.0) as client:
+                client.write(GET_TABLE)
+                assert client.read(3) == b"+\x40\x07"
+        finally:
+            process.terminate()
 
 
 def test_a_save_stalls_no_loop_and_loses_no_byte(elf: bytes, board: Board) -> None:

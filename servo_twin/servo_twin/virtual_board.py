@@ -376,7 +376,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Simulated servo board: the firmware, two motors and a DC bus at a serial port (a "
         "pseudo-terminal), in real time. Stop it with Ctrl-C.",
         epilog="Exit status: 0 stopped by SIGINT, SIGTERM or SIGHUP, 1 operating system error, 2 wrong options, "
-        "link or plant file. Example: virtual_board --link /tmp/servo --baud 1000000",
+        "link or plant file. Example: virtual_board --link /tmp/servo --baud 1000000. The environment variable "
+        f"{VARIABLE} selects the board: {', '.join(known_boards())}; all but {DEFAULT_BOARD} need --elf.",
     )
     parser.add_argument(
         "--link", type=Path, help="symbolic link to the port, as a fixed name; LINK.json then says what the board is"
@@ -398,11 +399,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="execute the firmware of this ELF file (make firmware BOARD=mc56f84789_m4), at level registers",
     )
-    parser.add_argument(
-        "--board",
-        metavar="NAME",
-        help=f"board to be simulated, as ${VARIABLE}: {', '.join(known_boards())}; all but {DEFAULT_BOARD} need --elf",
-    )
     parser.add_argument("--robot", metavar="MODEL", help=ROBOT_HELP)
     add_level_option(parser, "the board is")
     parser.add_argument(
@@ -421,8 +417,6 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Command ``virtual_board``; returns its exit status."""
     options = _parser().parse_args(argv)
-    if options.board is not None:
-        os.environ[VARIABLE] = options.board
     with contextlib.ExitStack() as owned:
         try:
             flash = owned.enter_context(_flash_file(options.flash)) if options.flash else None
