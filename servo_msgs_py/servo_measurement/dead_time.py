@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 from servo_tuning.errors import higher
@@ -79,6 +80,15 @@ def band_of(slope: float, lost_voltage: float) -> float:
 
 
 def rounded_up(value: float) -> float:
-    """Value rounded up to two digits."""
+    """Value above 0 rounded up to two digits."""
+    return _two_digits(value, math.ceil)
+
+
+def rounded_down(value: float) -> float:
+    """Value above 0 rounded down to two digits."""
+    return _two_digits(value, math.floor)
+
+
+def _two_digits(value: float, whole: Callable[[float], int]) -> float:
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(round(math.ceil(value / unit) * unit, 9))
+    return float(round(whole(value / unit) * unit, 9))

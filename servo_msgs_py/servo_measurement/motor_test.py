@@ -24,7 +24,7 @@ from servo_tuning.rotor_search import FRICTION_USE, SALIENT_USE
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
-from servo_measurement.dead_time import LOST_MIN, band_of, check_band, rounded_up
+from servo_measurement.dead_time import LOST_MIN, band_of, check_band, rounded_down, rounded_up
 from servo_measurement.estimation import (
     BAND,
     FLUX_CURRENT_TIME,
@@ -546,11 +546,14 @@ class MotorTest:
             return
         measured, volts = rig.value("i_d"), rig.value("u_d")
         text = f"the current is {measured:.2f} A instead of {current:.2f} A at {volts:.1f} V"
-        largest = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0) * measured / volts if volts > 0.0 else 0.0
+        voltage_max = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0)
+        largest = voltage_max * measured / volts if volts > 0.0 else 0.0
         if largest < rig.access.catalogue["param.i_q_limit"].minimum:
             raise MeasurementError(f"{text}: the winding is open; check the wires")
-        text = f"{text}: the resistance of the winding is too high for the bus voltage; check the wires, or correct"
-        raise MeasurementError(f"{text} the current", lower("--current", float(f"{largest:.2g}")))
+        if volts < voltage_max:
+            raise MeasurementError(f"{text}: it does not settle, although the bus voltage is enough; check the wires")
+        text = f"{text}: the resistance of the winding is too high for the bus voltage, or a wire has a bad contact"
+        raise MeasurementError(text, lower("--current", rounded_down(largest)))
 
     def _speed_max(self) -> float:
         pairs, psi = self._values["pole_pairs"].value, self._values["psi_m"].value

@@ -17,13 +17,14 @@ from servo_measurement.access import Capture, MeasurementError
 from servo_measurement.axis_under_test import AxisUnderTest
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_test import MotorTest
-from servo_measurement.motor_values import Limits
+from servo_measurement.motor_values import Estimate, Limits, MotorEstimates
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.trace import Trace
 from servo_tuning.reading import load
 from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main
+from servo_twin.identification import session
 from servo_twin.identification.files import write_estimates
 from servo_twin.identification.refine import covariance
 from servo_twin.identification.session import identified, measure_virtual
@@ -426,6 +427,17 @@ def test_saturation_is_reported_as_failure(tmp_path: Path) -> None:
     write_estimates(tmp_path / "estimates.json", result, [])
     content = json.loads((tmp_path / "estimates.json").read_text())
     assert content["bias"]["l_d"] == pytest.approx(2.8)
+
+
+def test_a_value_of_zero_is_named_and_asks_for_no_current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = MotorEstimates({"r_s": Estimate(0.0, 0.01), "l_d": Estimate(1e-3, 1e-4), "l_q": Estimate(1e-3, 1e-5)}, {})
+    monkeypatch.setattr(session, "estimates_of", lambda log: found)
+    log = MeasurementLog(0, notes={"limits": dataclasses.asdict(LIMITS), "current": 0.4})
+    result = identified(log, PlantConfig.load(), refined=False)
+    assert "r_s: 0 ohm is implausible: not determined by the data" in result.problems
+    assert any(text.endswith("is too wide; write --current 0.98 or more") for text in result.problems)
+    write_estimates(tmp_path / "estimates.json", result, [])
+    assert json.loads((tmp_path / "estimates.json").read_text())["remedy"] == {"--current": 0.98}
 
 
 @pytest.mark.parametrize("part", [0, 30, 5_000, 50_000, None])

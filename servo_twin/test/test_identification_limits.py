@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from servo_measurement import motor_test
 from servo_measurement.access import MeasurementError
 from servo_measurement.motor_config import corrected, fitted, tuned_axis
-from servo_measurement.motor_test import MotorTest
+from servo_measurement.motor_test import VOLTAGE_USE, MotorTest
 from servo_measurement.motor_values import Limits
 from servo_tuning.errors import ConfigError, Remedy
 from servo_tuning.remedies import with_value
@@ -177,6 +179,24 @@ def test_remedies_of_refusals_at_the_vector_are_accepted(plant: PlantConfig, lim
     assert_remedies_lead_to_a_result(plant, limits)
 
 
+@pytest.mark.parametrize("r_s", [6.7, 7.2, 7.8])
+def test_the_voltage_is_enough_for_a_current_that_is_named_instead(r_s: float) -> None:
+    error = refusal(PLANT.with_axis(0, r_s=r_s), Limits(24.0, 3.9))
+    assert error is not None
+    (remedy,) = error.remedies
+    assert remedy.value is not None
+    largest = VOLTAGE_USE * 24.0 / math.sqrt(3.0) / r_s
+    assert 0.75 * largest < remedy.value <= largest
+
+
+def test_a_current_that_does_not_settle_is_not_called_a_high_resistance(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motor_test, "FIRST_KI", motor_test.FIRST_KI / 30.0)
+    error = refusal(PLANT, LIMITS)
+    assert error is not None
+    assert not error.remedies
+    assert "does not settle, although the bus voltage is enough" in str(error)
+
+
 def test_a_rotor_off_its_vector_is_not_called_a_load() -> None:
     """Number 5: above 0.85 A its reluctance turns it off the vector, and with less its friction does."""
     plant, limits = random_case(PLANT, 0, LIMITS, SEED, 5)
@@ -195,8 +215,8 @@ def test_a_current_that_narrows_an_interval_is_named(number: int) -> None:
     log, problem = measure_virtual(plant, 0, limits, servo_table(), level="ideal", seed=1)
     result = identified(log, plant, problem, refined=False, level="ideal")
     assert result.problems
-    assert result.remedies
-    plant, limits = with_remedy(plant, limits, MeasurementError(result.problems[0], *result.remedies))
+    assert result.remedy is not None
+    plant, limits = with_remedy(plant, limits, MeasurementError(result.problems[0], result.remedy))
     log, problem = measure_virtual(plant, 0, limits, servo_table(), level="ideal", seed=1)
     assert not identified(log, plant, problem, refined=False, level="ideal").problems
 

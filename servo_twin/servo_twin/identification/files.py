@@ -16,6 +16,7 @@ from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.text_file import toml_text
+from servo_tuning.errors import Remedy
 
 from servo_twin.identification.refine import plant_of
 from servo_twin.identification.session import Identified
@@ -72,10 +73,16 @@ def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> Non
         "bias": result.log.notes.get("bias"),
         "undetermined": dict(result.estimates.undetermined),
         "problems": list(result.problems),
+        "remedy": _options(result.remedy),
         "difference": None if refinement is None else {"before": refinement.before, "after": refinement.after},
         "margins": list(lines),
     }
     write_file(path, json.dumps(content, indent=2) + "\n")
+
+
+def _options(remedy: Remedy | None) -> dict[str, float | None]:
+    """Values of options, all of them necessary; empty: no remedy."""
+    return {} if remedy is None else {remedy.entry: remedy.value, **_options(remedy.also)}
 
 
 def draw(path: Path, result: Identified) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -80,7 +80,7 @@ class Identified:
     estimates: MotorEstimates  # refined, if there is a refinement
     refinement: Refinement | None
     problems: tuple[str, ...]  # undetermined values and unexplained differences; empty: success
-    remedies: tuple[Remedy, ...] = ()  # changes of options with which the intervals of the winding are narrow enough
+    remedy: Remedy | None = None  # change of options with which the intervals of the winding are narrow enough
 
 
 def measure_virtual(
@@ -154,38 +154,38 @@ def identified(
         except (MeasurementError, np.linalg.LinAlgError) as error:
             problems.append(f"the refinement has failed: {error}")
     estimates = refinement.estimates if refinement is not None else first
-    remedies: tuple[Remedy, ...] = ()
+    remedy = None
     if not problem:  # otherwise values and intervals are those of an unfinished measurement
         problems += [f"{name}: {reason}" for name, reason in first.undetermined.items()]
-        wide = {name: estimates.values[name].part / NEEDED[name] for name in OF_CURRENT if name in estimates.values}
-        needed = max(wide.values(), default=0.0)
-        remedies = tuple(_more_current(log, estimates, needed)) if needed > 1.0 else ()
-        problems += _undetermined(estimates, float(log.notes["limits"]["current"]), remedies)
+        wide = [estimates.values[name].part / NEEDED[name] for name in OF_CURRENT if name in estimates.values]
+        needed = max(filter(math.isfinite, wide), default=0.0)  # infinite: a value of 0, which `_undetermined` names
+        remedy = _more_current(log, estimates, needed) if needed > 1.0 else None
+        problems += _undetermined(estimates, float(log.notes["limits"]["current"]), remedy)
         problems += _saturated(first, log)
     if refinement is not None:
         problems += _unexplained(log, refinement)
-    return Identified(log, estimates, refinement, tuple(problems), remedies)
+    return Identified(log, estimates, refinement, tuple(problems), remedy)
 
 
-def _more_current(log: MeasurementLog, estimates: MotorEstimates, factor: float) -> Iterator[Remedy]:
+def _more_current(log: MeasurementLog, estimates: MotorEstimates, factor: float) -> Remedy | None:
     """The current that is larger by a factor, with the voltage that it needs; none if the board cannot do it."""
     catalogue = Catalogue.load()
     limits = Limits(**log.notes["limits"])
     current = rounded_up(CURRENT_MARGIN * factor * float(log.notes.get("current", limits.current)))
     needed = current * (estimates["r_s"] + limits.r_on) * math.sqrt(3.0) / VOLTAGE_USE
     if current > catalogue["param.i_q_limit"].maximum or needed > SUPPLY_END:
-        return
+        return None
     remedy = higher("--current", current)
     if needed > limits.voltage:
         remedy = dataclasses.replace(higher("--voltage", math.ceil(needed)), also=remedy)
-    yield remedy
+    return remedy
 
 
-def _undetermined(estimates: MotorEstimates, current: float, remedies: Sequence[Remedy]) -> list[str]:
-    """Undetermined values; `current`: limit of the user [A], `remedies`: of the values of the winding."""
+def _undetermined(estimates: MotorEstimates, current: float, remedy: Remedy | None) -> list[str]:
+    """Undetermined values; `current`: limit of the user [A], `remedy`: of the values of the winding."""
     found = []
     values = estimates.values
-    changes = remedies[0].text() if remedies else "it needs a current, or a voltage for it, beyond the board"
+    changes = remedy.text() if remedy is not None else "it needs a current, or a voltage for it, beyond the board"
     for name, part in NEEDED.items():
         if name not in values:
             if name not in estimates.undetermined:
