@@ -1,7 +1,6 @@
 #include "drive/speed_control.h"
 
 #include "drive/soft_limits.h"
-#include "math/divide.h"
 
 #define DITHER_COUNTS 4 /* counts of the encoder per slow tick */
 
@@ -98,8 +97,8 @@ static uint16_t oscillation_swing_min(const axis_t *axis, const axis_config_t *c
     const uint16_t fine = POSITION_PER_TURN / 4;
     const uint16_t fitted = encoder_lines(&config->encoder);
     const uint16_t lines = (axis->sensorless || fitted > fine) ? fine : fitted;
-    const int64_t counts = (int64_t)config->speed_per_path_step * DITHER_COUNTS * fine;
-    const frac32_t error = sat32(i64_over_u16(counts, lines));
+    const uint16_t coarse = (uint16_t)((fine + lines - 1U) / lines); /* position counts per count, rounded up */
+    const frac32_t error = sat32((int64_t)config->speed_per_path_step * DITHER_COUNTS * coarse);
     const int64_t dither = asr64((int64_t)error * kp, GAIN_BITS + 16U);
     const int64_t part = config->i_q_limit / 4;
     const int64_t swing = (dither > part) ? dither : part;

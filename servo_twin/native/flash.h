@@ -11,9 +11,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "config/board_gen.h"
-
 #if defined(BOARD_ODRIVE36) /* of the program flash, what the firmware uses as storage */
+#include "config/board_gen.h"
 #define FLASH_DATA_SECTORS ((uint32_t)BOARD_FLASH_SECTORS)
 #define FLASH_DATA_SECTOR_WORDS ((uint32_t)BOARD_FLASH_SECTOR_WORDS)
 #else
