@@ -54,9 +54,9 @@ static void request(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     const qtmr_channel_t *c = &timer->channel[n];
     const unsigned flags = c->reg[SCTRL] & (SCTRL_FLAGS);
-    const unsigned enabled = ((unsigned)c->reg[SCTRL] << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
+    const unsigned enables = ((unsigned)c->reg[SCTRL] << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
     const bool compare = (((unsigned)c->reg[CSCTRL] << 2) & c->reg[CSCTRL] & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
-    bus_request(qtmr->bus, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & enabled) != 0 || compare);
+    bus_request(qtmr->bus, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & enables) != 0 || compare);
 }
 
 /* ---- counting -------------------------------------------------------------------------------------------------------- */

@@ -55,7 +55,7 @@ static const struct {
 /* Clocks of 168 MHz per clock of the converter. */
 static uint64_t clocks(const adc_t *adc)
 {
-    return SOC_APB2_CLOCKS * 2u * (FIELD_GET(adc->ccr, ADC_COMMON_CCR_ADCPRE) + 1u);
+    return (uint64_t)SOC_APB2_CLOCKS * 2u * (FIELD_GET(adc->ccr, ADC_COMMON_CCR_ADCPRE) + 1u);
 }
 
 static bool edge_selected(uint32_t enable, bool rising) { return (enable & (rising ? 1u : 2u)) != 0; }

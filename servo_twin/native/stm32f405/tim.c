@@ -381,7 +381,7 @@ static void match(tim_t *tim, unsigned k, bool up)
 {
     const uint32_t alignment = tim->cr1 & FIELD_MASK(TIM_CR1_CMS);
     const bool flags = alignment == FIELD_MASK(TIM_CR1_CMS) || alignment == 0 || (alignment == 0x40u) == up;
-    tim_channel_t *c = &tim->channel[k];
+    const tim_channel_t *c = &tim->channel[k];
     switch (mode_of(tim, k)) {
     case ACTIVE_ON_MATCH:
         set_reference(tim, k, true);
