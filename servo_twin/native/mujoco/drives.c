@@ -1,7 +1,6 @@
 #include "mujoco/drives.h"
 
 #include <math.h>
-#include <stdio.h>
 
 #include "config/board_gen.h"
 
@@ -19,13 +18,11 @@ void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta
     *omega = gear * d->qvel[m->jnt_dofadr[joint]];
 }
 
-static double torque_constant(const exported_t *board, int axis)
+static double torque_constant(const exported_t *board, const drive_t *drive, int axis)
 {
     board_truth_t truth;
-    char name[64];
     board_truth(exported_board(board), axis, &truth);
-    (void)snprintf(name, sizeof name, "plant.axis%d.pole_pairs", axis + 1);
-    return 1.5 * exported_number(board, exported_variable(name)->reference) * truth.psi_m;
+    return 1.5 * exported_number(board, drive->pole_pairs) * truth.psi_m;
 }
 
 /* The control signal of an actuator, as MuJoCo clamps it. */
@@ -43,13 +40,12 @@ static void warn(exported_result_t result)
     }
 }
 
-static exported_point_t next_point(int axis, coupled_axis_t *of, double signal, const exported_t *board,
-                                   uint64_t interval_ns)
+static exported_point_t next_point(const drive_t *drive, int axis, coupled_axis_t *of, double signal,
+                                   const exported_t *board, uint64_t interval_ns)
 {
     const exported_point_t point = {
         .axis = axis,
-        .tick = (uint32_t)exported_number(board, exported_variable("tick")->reference) +
-                (uint32_t)((interval_ns + AHEAD_NS) / PERIOD_NS),
+        .tick = (uint32_t)exported_number(board, drive->tick) + (uint32_t)((interval_ns + AHEAD_NS) / PERIOD_NS),
         .position = of->last - of->zero,
         .velocity = (signal - of->before) / (2e-9 * (double)interval_ns), /* central difference */
     };
@@ -68,7 +64,7 @@ void drive_follow(const mjModel *m, const mjData *d, const drive_t drive[AXES], 
     if (board_time_ns(exported_board(board)) / step_ns % steps != 0) {
         return;
     }
-    const double refusal = exported_number(board, exported_variable("point_refusal")->reference);
+    const double refusal = exported_number(board, drive[0].point_refusal);
     const bool refused = refusal != POINT_REFUSAL_NONE && refusal != POINT_REFUSAL_MODE;
     for (int axis = 0; axis < AXES; axis++) {
         if (of[axis].path == PATH_RUNS && refused) {
@@ -78,7 +74,8 @@ void drive_follow(const mjModel *m, const mjData *d, const drive_t drive[AXES], 
             of[axis].path = PATH_NONE;
         } else if (of[axis].path != PATH_NONE) {
             const double signal = signal_of(m, d, drive[axis].actuator);
-            points[n++] = next_point(axis, &of[axis], isnan(signal) ? of[axis].last : signal, board, steps * step_ns);
+            points[n++] = next_point(&drive[axis], axis, &of[axis], isnan(signal) ? of[axis].last : signal, board,
+                                     steps * step_ns);
         }
     }
     const exported_result_t result = (n > 0) ? exported_points(board, points, n) : (exported_result_t){EXPORTED_DONE};
@@ -140,7 +137,7 @@ void drive_command(const mjModel *m, const mjData *d, exported_t *board, const d
         warn(exported_set(board, drive->set_point, signal - of->zero));
         break;
     case CONTROL_MODE_TORQUE:
-        warn(exported_set(board, drive->set_point, signal / torque_constant(board, axis)));
+        warn(exported_set(board, drive->set_point, signal / torque_constant(board, drive, axis)));
         break;
     default:
         warn(exported_set(board, drive->set_point, signal));

@@ -14,7 +14,8 @@
 typedef struct {
     int actuator; /* -1: none */
     control_mode_t mode;
-    uint32_t state, substate, position, enable, mode_command, set_point; /* value references */
+    uint32_t state, substate, position, enable, mode_command, set_point, pole_pairs; /* value references */
+    uint32_t tick, point_refusal; /* of the board */
 } drive_t;
 
 enum {

@@ -28,6 +28,14 @@ static uint32_t of_axis(int axis, const char *name)
     return exported_variable(text)->reference;
 }
 
+/* The same of its parameter in the plant. */
+static uint32_t of_plant(int axis, const char *name)
+{
+    char text[64];
+    (void)snprintf(text, sizeof text, "plant.axis%d.%s", axis + 1, name);
+    return exported_variable(text)->reference;
+}
+
 /* Not the commands, which the plugin gives, nor load and lock of a shaft that MuJoCo moves. */
 bool model_configurable(const exported_variable_t *one)
 {
@@ -160,18 +168,15 @@ const char *model_configure(const mjModel *m, int instance, exported_t *board, c
 /* The rotor of an axis is in the inertia of its joint; the brake of a plant does not act on it. */
 static const char *check_joint(const mjModel *m, model_t *model, const exported_t *board, int axis)
 {
-    char name[64];
     const int actuator = model->drive[axis].actuator;
     const double gear = m->actuator_gear[6 * actuator];
-    (void)snprintf(name, sizeof name, "plant.axis%d.inertia", axis + 1);
-    const double least = gear * gear * exported_number(board, exported_variable(name)->reference);
+    const double least = gear * gear * exported_number(board, of_plant(axis, "inertia"));
     if (m->dof_armature[m->jnt_dofadr[m->actuator_trnid[2 * actuator]]] < (1.0 - INERTIA_TOLERANCE) * least) {
         (void)snprintf(model->text, sizeof model->text,
                        "the joint has less than the inertia of the rotor; write armature=\"%g\"", least);
         return model->text;
     }
-    (void)snprintf(name, sizeof name, "plant.axis%d.brake_torque", axis + 1);
-    return (exported_number(board, exported_variable(name)->reference) > 0.0)
+    return (exported_number(board, of_plant(axis, "brake_torque")) > 0.0)
                ? "the holding brake of the plant does not act on a joint of MuJoCo; set its brake_torque to 0"
                : NULL;
 }
@@ -211,6 +216,9 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
         drive->enable = of_axis(axis, "cmd.enable");
         drive->mode_command = of_axis(axis, "cmd.mode");
         drive->set_point = of_axis(axis, set_points[drive->mode]);
+        drive->pole_pairs = of_plant(axis, "pole_pairs");
+        drive->tick = exported_variable("tick")->reference;
+        drive->point_refusal = exported_variable("point_refusal")->reference;
     }
     return problem;
 }
