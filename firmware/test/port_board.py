@@ -5,16 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from c_declarations import declarations
 from firmware_compiler import FIRMWARE, CompileC
+from recorded_accesses import Access, RecordedAccesses
 
 PORT = FIRMWARE / "port" / "mc56f84789"
 
 SOURCES = ["test/fake_chip.c", *(f"port/mc56f84789/{name}" for name in sorted(path.name for path in PORT.glob("*.c")))]
 
-READ, WRITE, INTERRUPTS, SERVO = range(4)
 INIT, M1, M2, EDGE, BREAK = range(5)
 
 PWM = (0xE600, 0xE700)
@@ -22,15 +21,7 @@ TMR = (0xE140, 0xE180)
 GPIO = {port: 0xE200 + 0x10 * i for i, port in enumerate("ABCDEFG")}
 
 
-class Access(NamedTuple):
-    """One recorded access of the fake chip."""
-
-    kind: int
-    address: int
-    value: int
-
-
-class FakeBoard:
+class FakeBoard(RecordedAccesses):
     """The port, initialised or not, with its recorded accesses."""
 
     def __init__(self, compile_c: CompileC, initialised: bool = True) -> None:
@@ -41,28 +32,11 @@ class FakeBoard:
         if initialised:
             assert self.init()
 
-    def init(self) -> bool:
-        return bool(self.lib.port_init(self.hal, self.lib.fake_servo(self.chip), self.ffi.NULL))
-
     def isr(self, vector: int) -> list[Access]:
         """Accesses of the handler of a vector."""
         self.forget()
         self.lib.port_isr(self.hal, vector)
         return self.accesses
-
-    def forget(self) -> None:
-        self.chip.accesses = 0
-
-    @property
-    def accesses(self) -> list[Access]:
-        return [Access(a.kind, a.address, a.value) for a in self.chip.access[0 : self.chip.accesses]]
-
-    @property
-    def writes(self) -> list[tuple[int, int]]:
-        return [(a.address, a.value) for a in self.accesses if a.kind == WRITE]
-
-    def writes_of(self, address: int) -> list[int]:
-        return [value for register, value in self.writes if register == address]
 
     def __getitem__(self, address: int) -> int:
         return int(self.chip.memory[address])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from c_declarations import declarations
 from firmware_compiler import FIRMWARE, TEST, CompileC
+from recorded_accesses import SERVO, RecordedAccesses
 from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import c_files, update
@@ -18,7 +19,6 @@ SOURCES: Final = [
     *sorted(f"port/stm32f405/{p.name}" for p in PORT.glob("*.c") if p.stem != "startup"),
 ]
 
-READ, WRITE, INTERRUPTS, SERVO = range(4)
 INIT, M1, M2, EDGE, BREAK, BACKGROUND = range(6)
 
 TIM = (0x4001_0000, 0x4001_0400)
@@ -30,14 +30,6 @@ EXTI, FLASH, IWDG = 0x4001_3C00, 0x4002_3C00, 0x4000_3000
 TIM5_CNT, DBGMCU = 0x4000_0C24, 0xE004_2000
 
 
-class Access(NamedTuple):
-    """One recorded access of the fake chip."""
-
-    kind: int
-    address: int
-    value: int
-
-
 def generated(folder: Path) -> Path:
     """Generated files of the firmware for the board in a folder."""
     files = c_files(FIRMWARE, Catalogue.load(board=BoardDescription.load(BOARD)))
@@ -45,7 +37,7 @@ def generated(folder: Path) -> Path:
     return folder
 
 
-class Stm32Board:
+class Stm32Board(RecordedAccesses):
     """The port, initialised or not, with its recorded accesses."""
 
     def __init__(self, compile_c: CompileC, folder: Path, initialised: bool = True) -> None:
@@ -58,27 +50,10 @@ class Stm32Board:
             assert self.init()
             self.forget()
 
-    def init(self) -> bool:
-        return bool(self.lib.port_init(self.hal, self.lib.fake_servo(self.chip), self.ffi.NULL))
-
-    def forget(self) -> None:
-        self.chip.accesses = 0
-
-    @property
-    def accesses(self) -> list[Access]:
-        return [Access(a.kind, a.address, a.value) for a in self.chip.access[0 : self.chip.accesses]]
-
-    @property
-    def writes(self) -> list[tuple[int, int]]:
-        return [(a.address, a.value) for a in self.accesses if a.kind == WRITE]
-
     @property
     def calls(self) -> list[tuple[int, int]]:
         """Calls of the application, and axes."""
         return [(a.address, a.value) for a in self.accesses if a.kind == SERVO]
-
-    def writes_of(self, address: int) -> list[int]:
-        return [value for register, value in self.writes if register == address]
 
     def __getitem__(self, address: int) -> int:
         return int(self.lib.fake_get(self.chip, address))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 from firmware_compiler import CompileC
-from port_board import EDGE, SERVO, TMR, FakeBoard
+from port_board import EDGE, TMR, FakeBoard
+from recorded_accesses import SERVO
 
 ISR_EDGE, ISR_RECEIVE = (28, 24), 52
 IEF, IEFIE, TOF = 0x0800, 0x0400, 0x2000

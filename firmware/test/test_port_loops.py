@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from port_board import BREAK, M1, M2, PWM, READ, SERVO, WRITE, FakeBoard
+from port_board import BREAK, M1, M2, PWM, FakeBoard
+from recorded_accesses import READ, SERVO, WRITE
 
 START, ISR_M1, ISR_M2, FAULT = 87, 85, 30, (77, 63)
 FIRST, SECOND = 0x0707, 0x3838

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 from firmware_compiler import CompileC
-from port_board import GPIO, INIT, INTERRUPTS, PWM, SERVO, TMR, WRITE, FakeBoard
+from port_board import GPIO, INIT, PWM, TMR, FakeBoard
+from recorded_accesses import INTERRUPTS, SERVO, WRITE
 
 
 @pytest.fixture

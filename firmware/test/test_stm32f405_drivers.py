@@ -10,6 +10,7 @@ import pytest
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recorded_accesses import INTERRUPTS, WRITE
 from stm32_board import (
     BREAK,
     DBGMCU,
@@ -21,13 +22,11 @@ from stm32_board import (
     FLASH,
     GPIO,
     INIT,
-    INTERRUPTS,
     IWDG,
     TIM,
     TIM2,
     TIM5_CNT,
     USART2,
-    WRITE,
     Stm32Board,
     generated,
 )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from chip_events import Event, event
 from native_library import NATIVE, Native, compile_c
 
 NEVER = (1 << 64) - 1
@@ -52,28 +53,6 @@ static int try_write(chip_t *chip, uint32_t address, uint16_t value)
     return (reason == ESCAPE_FAILURE) ? -1 : 0;
 }
 """
-
-KINDS = (
-    "cycle",
-    "match",
-    "load",
-    "gates",
-    "trigger",
-    "sync",
-    "sample",
-    "scan_end",
-    "enter",
-    "leave",
-    "write",
-    "capture",
-)
-
-
-class Event(NamedTuple):
-    clock: int
-    kind: str
-    a: int
-    b: int
 
 
 def build(folder: Path) -> Native:
@@ -326,7 +305,7 @@ class ChipRig:
 
     def events(self, *kinds: str) -> list[Event]:
         log = self._trace[0 : self.chip.core.bus.trace.size]
-        events = [Event(int(e.clock), KINDS[e.kind], int(e.a), int(e.b)) for e in log]
+        events = [event(e.clock, e.kind, e.a, e.b) for e in log]
         return [e for e in events if not kinds or e.kind in kinds]
 
     def clocks(self, kind: str, a: int | None = None, b: int | None = None) -> list[int]:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
+from chip_events import Event, event
 from native_library import NATIVE, Native, compile_c
 from servo_twin._build_native import generated_for
 
@@ -144,17 +144,6 @@ static void rig_trace(rig_t *rig, trace_entry_t *log, size_t room)
 }
 static size_t rig_traced(const rig_t *rig) { return rig->chip.soc.bus.trace.size; }
 """
-
-KINDS = (
-    "cycle", "match", "load", "gates", "trigger", "sync", "sample", "scan_end", "enter", "leave", "write", "capture",
-)  # fmt: skip
-
-
-class Event(NamedTuple):
-    clock: int
-    kind: str
-    a: int
-    b: int
 
 
 def build(folder: Path) -> Native:
@@ -356,5 +345,5 @@ class Stm32Rig:
 
     def events(self, *kinds: str) -> list[Event]:
         log = self._trace[0 : self.lib.rig_traced(self.rig)]
-        events = [Event(int(e.clock), KINDS[e.kind], int(e.a), int(e.b)) for e in log]
+        events = [event(e.clock, e.kind, e.a, e.b) for e in log]
         return [e for e in events if not kinds or e.kind in kinds]

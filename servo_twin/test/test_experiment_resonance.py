@@ -77,7 +77,7 @@ def shaken(board: Board, ticks: int, act: Callable[[float], None], frequency: fl
 
 
 def test_a_large_oscillation_from_outside_ends_in_a_fault(board: Board, plant: PlantConfig) -> None:
-    """The gains are reduced in vain."""
+    """Reduced gains do not end it."""
     torque = 4.0 * plant.axes[0].torque_constant
     shaken(board, 2800, lambda sine: board.set_load(0, torque * sine))
     assert first_fault(board, 0) == "OSCILLATION"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from buffered_registers import poke_buffered
+from chip_events import Event, event
 from servo_msgs_py.board_port import active
 from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board
@@ -29,24 +29,9 @@ ADC_CTRL1, ADC_CTRL2, CLIST1, SDIS, RDY, SCTRL = 0xE500, 0xE501, 0xE504, 0xE508,
 RSTAT = 0xE401
 
 
-# As in chip/trace.h.
-KINDS = (
-    "cycle", "match", "load", "gates", "trigger", "sync", "sample", "scan_end", "enter", "leave", "write", "capture",
-)  # fmt: skip
-
-
-class Event(NamedTuple):
-    """An event as a logic analyser on the chip would show it."""
-
-    clock: int
-    kind: str
-    a: int
-    b: int
-
-
 def trace(board: Board, seconds: float) -> list[Event]:
     log = board.trace(board.time_ns + round(seconds * 1e9))
-    return [Event(int(e["clock"]), KINDS[e["kind"]], int(e["a"]), int(e["b"])) for e in log]
+    return [event(*e.tolist()) for e in log]
 
 
 def sm(module: int, submodule: int, register: int) -> int:
