@@ -23,8 +23,12 @@ def plant(**changes: float) -> PlantConfig:
 
 
 def turning(board: Board, speed: float = 60.0) -> None:
-    """Axis 1 turns under control, at an instant that begins a PWM period."""
+    """Axis 1 turns under control without friction, at an instant that begins a PWM period.
+
+    The rotor search is before: without friction the shaft swings too long for it, in one of five searches.
+    """
     enable(board)
+    board.set_plant("axis1.friction", 0.0)
     board.write("cmd.mode", [1, 1])
     board.write("cmd.speed", [speed, 0.0])
     board.run(0.3)
@@ -33,7 +37,7 @@ def turning(board: Board, speed: float = 60.0) -> None:
 
 def test_energy_of_an_external_torque_is_balanced() -> None:
     """Work of load and air gap against kinetic energy and viscous loss, within 0.1 % of what was exchanged."""
-    with Board(plant(friction=0.0), seed=4) as board:
+    with Board(seed=4) as board:
         turning(board)
         shaft = board.plant.axes[AXIS]
         start = before = board.truth(AXIS)
@@ -76,7 +80,7 @@ def test_driven_shaft_follows_the_motion_and_the_encoder_sees_it() -> None:
 @pytest.mark.parametrize("periods", [1, 8])
 def test_host_that_owns_the_inertia_gets_the_same_motion(periods: int) -> None:
     """A host with rotor and friction of the plant, in steps of up to 0.5 ms, against the board's own rotor."""
-    with Board(plant(friction=0.0), seed=4) as board:
+    with Board(seed=4) as board:
         turning(board)
         shaft = board.plant.axes[AXIS]
         driven = board.copy()
@@ -99,7 +103,9 @@ def test_host_that_owns_the_inertia_gets_the_same_motion(periods: int) -> None:
             coupled.append(driven.truth(AXIS).theta_m)
         difference = np.abs(np.array(free) - np.array(coupled))
         assert difference.max() < 0.02 * periods  # of 12 rad; the torque is late by one step
-        assert driven.truth(AXIS).omega_m == pytest.approx(board.truth(AXIS).omega_m, abs=1.0)
+        last = 320 // periods  # 20 ms: the speed ripples by more than 1 rad/s
+        speeds = [(angles[-1] - angles[-1 - last]) / (last * step) for angles in (free, coupled)]
+        assert speeds[1] == pytest.approx(speeds[0], abs=0.5)
 
 
 def test_nothing_mechanical_of_the_plant_acts_on_a_driven_shaft() -> None:
