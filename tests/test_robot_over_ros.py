@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chain import FAST_BAUD, Chain, ros_user
+from servo_msgs_py.convert import from_stamp
+from servo_twin.runs.command import main
 from std_msgs.msg import Float64
 
 pytest.importorskip("mujoco", reason="there is no MuJoCo 4 for Python 3.10")
@@ -20,25 +22,31 @@ FRICTION = 0.05
 GEAR = 100.0
 
 
-def test_arm_is_moved_over_ros(tmp_path: Path) -> None:
-    """The effort on `joint_states` is the weight of the arm; the twin, without it, sees that torque as its residual."""
+def test_arm_is_moved_over_ros_and_its_twin_agrees(tmp_path: Path) -> None:
+    """The effort on `joint_states` is the weight of the arm. Twin and replay move the same model: no residual."""
     chain = Chain(tmp_path, FAST_BAUD, level="ideal")
+    run = tmp_path / "run.mcap"
     with ros_user() as user:
         try:
-            chain.board(options=["--robot", "arm"])
-            chain.bridge()
-            chain.twin()
+            chain.twin(seed=5, robot="arm")
+            chain.bridge(run_file=str(run))
+            user.until(lambda: user.matched() and user.last("/twin/state"), what="no bridge, or no twin")
+            chain.board(seed=5, options=["--robot", "arm"])  # last, so that the twin can follow it from its reset
             user.until(user.connected, what="the bridge is not connected")
             user.enable_axes()
             user.position[0].publish(Float64(data=0.25 * np.pi * GEAR))
             user.until(lambda: abs(user.position_of(0) - 0.25 * np.pi * GEAR) < 0.01, what="the arm does not arrive")
             user.wait_board_time(0.3)
-            user.until(lambda: user.messages["/twin/residual"], what="the twin has no residual")
-            states, residuals = (user.messages[name][-50:] for name in ("/servo/joint_states", "/twin/residual"))
+            states, residuals = user.messages["/servo/joint_states"], user.messages["/twin/residual"]
+            end = from_stamp(states[-1].header.stamp)
+            user.until(
+                lambda: residuals and from_stamp(residuals[-1].header.stamp) >= end, what="the twin stays behind"
+            )
             expected = GRAVITY * np.sin(0.25 * np.pi) / GEAR
-            effort = np.mean([message.effort[0] for message in states])
+            effort = np.mean([message.effort[0] for message in states[-50:]])
             assert effort == pytest.approx(expected, abs=1.2 * FRICTION / GEAR)
-            assert np.mean([message.effort[0] for message in residuals]) > 0.5 * effort
+            assert [row for m in residuals if any(row := (*m.position, *m.velocity, *m.effort))] == []
         finally:
             chain.end()
             print(chain.logs())
+    assert main(["replay", str(run)]) == 0

@@ -14,13 +14,13 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,6 +153,13 @@ class BoardStats:
     watchdog_services: int  # services of the watchdog by the firmware
 
 
+class Leader(Protocol):
+    """Another simulator that owns shafts of a board and in whose steps the time of the board elapses."""
+
+    def end_ns(self, board: Board) -> int:
+        """End of the present step of a board [ns]; begins the next one if the board has come to the end of it."""
+
+
 class FlashState(NamedTuple):
     """State of the data flash."""
 
@@ -258,6 +265,7 @@ class Board:
         self._dtype: np.dtype[np.void] | None = None
         self._injected: list[InjectedFault] = []
         self._sampler: BoardSampler | None = None
+        self._leader: Leader | None = None
         problem = self._lib.board_error(handle)
         if problem != self._ffi.NULL:
             text = self._ffi.string(problem).decode()
@@ -366,8 +374,25 @@ class Board:
 
     def advance(self, until_ns: int) -> None:
         """Run up to and including simulated time `until_ns`; no effect if that is in the past."""
+        for end_ns in self._stretches(until_ns):
+            self.advance_alone(end_ns)
+
+    def advance_alone(self, until_ns: int) -> None:
+        """As `advance`, also beyond a step of the leader (`follow`), which uses this."""
         self._lib.board_advance(self._board, until_ns)
         self._check()
+
+    def follow(self, leader: Leader) -> None:
+        """From now on let the time elapse in the steps of another simulator, which moves shafts (`drive_shaft`)."""
+        self._leader = leader
+
+    def _stretches(self, until_ns: int) -> Iterator[int]:
+        """Ends of stretches within which nothing acts on the shafts from outside [ns]; the last one is `until_ns`."""
+        if self._leader is None:
+            yield until_ns
+            return
+        while self.time_ns < until_ns:
+            yield min(self._leader.end_ns(self), until_ns)
 
     def run(self, seconds: float) -> None:
         """Run for some simulated time [s]."""
@@ -387,13 +412,12 @@ class Board:
         ndarray, shape (ticks,)
             Raw integers; one field per telemetry variable, named as in the catalogue. `si` converts.
         """
-        dtype = self.snapshot_dtype
         capacity = max(until_ns - self.time_ns, 0) // TICK_NS + 2
-        log = np.zeros(capacity, dtype)
-        rows = self._lib.board_record(
-            self._board, until_ns, self._ffi.from_buffer("uint8_t[]", log, require_writable=True), capacity
-        )
-        self._check()
+        log, rows = np.zeros(capacity, self.snapshot_dtype), 0
+        for end_ns in self._stretches(until_ns):
+            rest = self._ffi.from_buffer("uint8_t[]", log[rows:], require_writable=True)
+            rows += self._lib.board_record(self._board, end_ns, rest, capacity - rows)
+            self._check()
         return log[:rows]
 
     def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], capacity: int) -> None:
@@ -441,11 +465,11 @@ class Board:
         ndarray, shape (events,), dtype `TRACE_ENTRY`
             The first `capacity` events; none at level ``ideal``.
         """
-        log = np.zeros(capacity, TRACE_ENTRY)
-        size = self._lib.board_trace(
-            self._board, until_ns, self._ffi.from_buffer("trace_entry_t[]", log, require_writable=True), capacity
-        )
-        self._check()
+        log, size = np.zeros(capacity, TRACE_ENTRY), 0
+        for end_ns in self._stretches(until_ns):
+            rest = self._ffi.from_buffer("trace_entry_t[]", log[size:], require_writable=True)
+            size += self._lib.board_trace(self._board, end_ns, rest, capacity - size)
+            self._check()
         seen: NDArray[np.void] = log[:size].copy()
         return seen
 

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
@@ -39,18 +39,21 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
-from servo_twin.board import Board
+from servo_twin.board import Board, SimulationError
 from servo_twin.diagnosis.monitor import DiagnosisMonitor
 from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estimate_text, finding_text, findings_text
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
-from servo_twin.diagnosis.thresholds import ThresholdsError
 from servo_twin.level import chosen_level
 from servo_twin.lockstep.board_topics import BOARD_TOPICS, BoardTopic
 from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.lockstep.worker import TwinWorker
-from servo_twin.plant import PlantConfig, PlantError
+from servo_twin.plant import PlantConfig
+from servo_twin.robot.command import load as load_robot
+
+if TYPE_CHECKING:
+    from servo_twin.robot.robot_model import RobotModel
 
 _DIAGNOSIS_NS: Final = 250_000_000  # interval of messages with new estimates [ns of board time]
 _BACKLOG_WARNING: Final = 0.5  # [s]
@@ -62,6 +65,7 @@ PARAMETERS: Final = {
         "servo is /a/servo for a twin in /a/twin",
     ),
     "plant": spec("", "TOML file with changes of the packaged plant.toml; empty: no changes"),
+    "robot": spec("", "MuJoCo model (MJCF) of what the shafts move, or an example such as arm; empty: none"),
     "seed": spec(1, "seed of the sensor noise of the twin's board", 0, 2**31 - 1),
     "position_tolerance": spec(0.05, "largest position residual of a healthy twin [rad of the joint]", 1e-4, 1e3),
     "velocity_tolerance": spec(10.0, "largest velocity residual of a healthy twin [rad/s of the joint]", 1e-3, 1e4),
@@ -110,9 +114,14 @@ class ServoTwin(Node):
         self._values = declare(self, self.PARAMETERS)
         self._board_namespace = topics.within(self.get_namespace().rpartition("/")[0], self._values["board_namespace"])
         self._catalogue = Catalogue.load()
-        self._plant, calibrated = self._files()
+        self._plant, self._robot, calibrated = self._files()
         self._diagnosis = DiagnosisMonitor(self._plant, calibrated)
-        self._twin = Twin(self._new_board, TwinSettings(report_timeout=self._values["report_timeout"]), self._catalogue)
+        self._twin = Twin(
+            self._new_board,
+            TwinSettings(report_timeout=self._values["report_timeout"]),
+            self._catalogue,
+            None if self._robot is None else self._robot.attach,
+        )
         self._monitor = HealthMonitor(
             Thresholds(
                 position=self._values["position_tolerance"],
@@ -151,15 +160,19 @@ class ServoTwin(Node):
         self._publish_changes()
 
     # ---- construction
-    def _files(self) -> tuple[PlantConfig, DiagnosisThresholds]:
-        """Read the files of the parameters ``plant`` and ``thresholds``."""
+    def _files(self) -> tuple[PlantConfig, RobotModel | None, DiagnosisThresholds]:
+        """Read the files of the parameters ``plant``, ``robot`` and ``thresholds``."""
         with _file_of("plant"):
             plant = PlantConfig.load(self._values["plant"] or None)
+        with _file_of("robot"):
+            name = self._values.get("robot")
+            robot = load_robot(name) if name else None
+            plant = plant if robot is None else robot.plant(plant)
         with _file_of("thresholds"):
-            return plant, DiagnosisThresholds.load(self._values.get("thresholds") or None, chosen_level())
+            return plant, robot, DiagnosisThresholds.load(self._values.get("thresholds") or None, chosen_level())
 
     def _new_board(self) -> Board:
-        return Board(self._plant, seed=self._values["seed"])
+        return (self._robot.board if self._robot else Board)(self._plant, seed=self._values["seed"])
 
     def _advertise(self) -> None:
         deep, latched = telemetry_qos(), latched_qos()
@@ -500,10 +513,10 @@ class ServoTwin(Node):
 
 @contextmanager
 def _file_of(parameter: str) -> Iterator[None]:
-    """Context of the reading of a file: a `ParameterError` has its name and what is wrong."""
+    """Context of the reading of a file: a `ParameterError` has the name of the parameter and what is wrong."""
     try:
         yield
-    except (PlantError, ThresholdsError) as error:
+    except (SimulationError, ValueError) as error:
         raise ParameterError(f"parameter {parameter}: {error}") from None
     except OSError as error:
         raise ParameterError(f"parameter {parameter}: {error.filename}: {error.strerror}; correct the path") from None

@@ -90,7 +90,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--baud", type=argument.count, default=115200, help="line speed [bit/s] (default: %(default)s)")
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board and of its twin")
-    result.add_argument("--robot", metavar="MODEL", help=MODEL_HELP)
+    result.add_argument("--robot", metavar="MODEL", help=f"{MODEL_HELP}; also that of the twin")
     result.add_argument("--twin-plant", type=Path, help="plant file of the twin (default: --plant)")
     result.add_argument(
         "--thresholds", type=Path, help="threshold file of `servo_twin calibrate` for the diagnosis of the twin"
@@ -254,7 +254,9 @@ def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Pat
     bridge = stack.start("servo_bridge", *parameter_arguments(**parameters))
     # The twin has the plant of the virtual board, but another seed: start angles and noise differ.
     files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
-    given = {name: path.absolute() for name, path in files.items() if path}
+    given = {name: str(path.absolute()) for name, path in files.items() if path}
+    if args.robot:
+        given["robot"] = args.robot
     twin = stack.start("servo_twin", *parameter_arguments(seed=args.seed + 1, **given))
     stack.expect(bridge, f"no board on {port} yet, the bridge goes on trying")
     stack.expect(twin, "the twin has no data of the board yet")

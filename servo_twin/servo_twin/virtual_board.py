@@ -38,6 +38,7 @@ from servo_twin.robot.command import MODEL_HELP as ROBOT_HELP
 from servo_twin.robot.command import load as load_robot
 
 if TYPE_CHECKING:
+    from servo_twin.robot.robot_model import RobotModel
     from servo_twin.simulation_clock import SimulationClock
 
 MAX_LAG_S: Final = 0.05
@@ -420,7 +421,8 @@ def main(argv: list[str] | None = None) -> int:
     with contextlib.ExitStack() as owned:
         try:
             flash = owned.enter_context(_flash_file(options.flash)) if options.flash else None
-            simulated, board, step_ns = _simulated(options, flash.image if flash else None)
+            robot = None if options.robot is None else load_robot(options.robot)
+            board, step_ns = _simulated(options, robot, flash.image if flash else None)
             owned.enter_context(board)
             stop = owned.enter_context(deferred())
             line = owned.enter_context(Terminal(options.link))
@@ -433,7 +435,7 @@ def main(argv: list[str] | None = None) -> int:
             what += f", {options.elf} (SHA-256 {board.build.rpartition(':')[2]})"
         print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
         if options.link:
-            write_virtual_board(options.link, _facts(board, options, line.device))
+            write_virtual_board(options.link, _facts(board, robot, options, line.device))
         pacer = Pacer(time.monotonic_ns(), speed=options.speed)
         try:
             clock = owned.enter_context(_clock(pacer, step_ns, options.speed)) if options.clock else None
@@ -443,9 +445,9 @@ def main(argv: list[str] | None = None) -> int:
         def on_step() -> None:
             update_flash()
             if clock is not None:
-                clock.serve(simulated.time_ns)
+                clock.serve(board.time_ns)
 
-        serve(simulated, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=on_step)
+        serve(board, line, pacer, lambda: stop.requested, on_slip=slip_reporter(board.level), on_step=on_step)
         print(
             f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
             f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
@@ -453,8 +455,8 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def _simulated(options: argparse.Namespace, flash: bytes | None) -> tuple[_Board, Board, int]:
-    """What is simulated, the board that is, or is part of, it, and the length of a step [ns]."""
+def _simulated(options: argparse.Namespace, robot: RobotModel | None, flash: bytes | None) -> tuple[Board, int]:
+    """The board, and the length of a step of what it is part of [ns]."""
     settings = {"seed": options.seed, "baud": options.baud, "level": options.level, "flash": flash}
     if options.elf is not None:
         try:
@@ -464,13 +466,10 @@ def _simulated(options: argparse.Namespace, flash: bytes | None) -> tuple[_Board
         except TextFileError as error:
             raise ValueError(f"{options.elf}: {error}") from None
     plant = PlantConfig.load(options.plant)
-    if options.robot is None:
-        board = Board(plant, **settings)
-        return board, board, TICK_NS
-    drives = load_robot(options.robot).robot(plant, by_ctrl=False, **settings)
-    from servo_twin.robot.coupling import SerialRobot  # needs MuJoCo
-
-    return SerialRobot(drives), drives.boards[0], drives.step_ns
+    if robot is None:
+        return Board(plant, **settings), TICK_NS
+    drives = robot.on_line(plant, **settings)
+    return drives.boards[0], drives.step_ns
 
 
 def _clock(pacer: Pacer, step_ns: int, speed: float) -> SimulationClock:
@@ -482,7 +481,7 @@ def _clock(pacer: Pacer, step_ns: int, speed: float) -> SimulationClock:
     )
 
 
-def _facts(board: Board, options: argparse.Namespace, device: str) -> VirtualBoard:
+def _facts(board: Board, robot: RobotModel | None, options: argparse.Namespace, device: str) -> VirtualBoard:
     """What a recording of the board needs to repeat it."""
     return VirtualBoard(
         device=device,
@@ -493,6 +492,8 @@ def _facts(board: Board, options: argparse.Namespace, device: str) -> VirtualBoa
         plant=board.plant.text(),
         flash=hashlib.sha256(board.flash_image()).hexdigest() if options.flash else "",
         build=board.build,
+        robot="" if robot is None else robot.name,
+        robot_sha256="" if robot is None else robot.sha256,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from servo_msgs_py.board_port import active
+from servo_msgs_py.units import TICK
 from servo_twin.board import Board, BoardError
 from servo_twin.plant import PlantConfig
 
@@ -73,6 +74,23 @@ def test_joint_of_the_rotor_alone_moves_as_the_rotor_of_the_board() -> None:
         assert board.truth(0).theta_m - start < -6.0
         assert difference < 0.01  # the torque is late by one step
         assert drives.data.qvel[0] == pytest.approx(-40.0, abs=1.0)
+
+
+def test_time_of_a_board_elapses_in_steps_of_the_model() -> None:
+    """Whatever runs a board moves the robot: in pieces that end anywhere, with the same bits."""
+    with Board(PLANT, seed=4) as board, Board(PLANT, seed=4) as other:
+        whole, pieces = coupled(board, "SPEED"), coupled(other, "SPEED")
+        for drives in (whole, pieces):
+            drives.data.ctrl[0] = 40.0
+            drives.boards[0].write("cmd.enable", [1, 0])
+        whole.wait(1.5)
+        snapshots = [other.record(time_ns) for time_ns in range(0, 1_500_000_000, 1_234_567)]
+        other.advance(board.time_ns)
+        pieces.finish()
+        assert sum(map(len, snapshots)) == pytest.approx(1.5 / TICK, abs=20)
+        assert whole.data.qpos[0] > 0.5
+        assert pieces.data.qpos[0] == whole.data.qpos[0]
+        assert pieces.state().boards[0].image == whole.state().boards[0].image
 
 
 def test_pendulum_takes_the_work_of_the_air_gap() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from servo_msgs_py.axis_config import AxisConfigTable
@@ -18,6 +19,9 @@ from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import ServoConfig
+
+if TYPE_CHECKING:
+    from servo_twin.robot.robot_model import RobotModel
 
 from servo_msgs_py import topics
 
@@ -49,6 +53,10 @@ class TwinRig:
         Configuration of both boards, if it differs from the default.
     settings : TwinSettings, optional
         Settings of the twin.
+    robot : RobotModel, optional
+        What the shafts of the real board move.
+    twin_robot : RobotModel, optional
+        The twin's model of it.
     tick_base : int
         Multiple of 2^32 that is added to the ticks for the twin, as of a board in operation for days.
     """
@@ -63,12 +71,23 @@ class TwinRig:
         twin_plant: PlantConfig | None = None,
         servo: ServoConfig | None = None,
         settings: TwinSettings | None = None,
+        robot: RobotModel | None = None,
+        twin_robot: RobotModel | None = None,
         tick_base: int = 0,
     ) -> None:
         self.every = every
-        self.board = Board(plant, seed=real_seed, servo=servo)
+        packaged = PlantConfig.load()
+        new = Board if robot is None else robot.board
+        self.board = new(plant or packaged, seed=real_seed, servo=servo)
+        if robot is not None:
+            robot.attach(self.board, {})
         self.real = Replica(self.board)
-        self.twin = Twin(lambda: Board(twin_plant, seed=twin_seed, servo=servo), settings)
+        new_twin = Board if twin_robot is None else twin_robot.board
+        self.twin = Twin(
+            lambda: new_twin(twin_plant or packaged, seed=twin_seed, servo=servo),
+            settings,
+            attach=None if twin_robot is None else twin_robot.attach,
+        )
         self.pairs: list[Pair] = []
         self.reporting = True  # applied commands are reported to the twin
         self.listening = True  # samples and commands are passed to the twin

@@ -36,6 +36,8 @@ class VirtualBoard:
     flash: str = ""  # SHA-256 of the data flash at power-on; empty: erased
     build: str = ""  # SHA-256 of the compiled board: firmware and model
     faults: Sequence[str] = ()  # injected faults
+    robot: str = ""  # MuJoCo model that its shafts move, a file or an example; empty: none
+    robot_sha256: str = ""  # of the compiled model
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from servo_msgs_py.board_port import reached
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
@@ -17,6 +17,13 @@ _STOPS: Final = (("cmd.quick_stop", 1), ("cmd.enable", 0))
 _ENABLE: Final = ("cmd.enable", 1)
 _POSITIONS: Final = ("cmd.position", "cmd.home_position")  # commands with absolute positions
 _HOME: Final = "cmd.home"
+
+
+class ShaftPosition(NamedTuple):
+    """Where a real shaft is."""
+
+    theta: float  # position of the firmware [rad of the motor]
+    referenced: bool  # counted from the home position, else from where the rotor was found
 
 
 class AxisAlignment:
@@ -36,7 +43,7 @@ class AxisAlignment:
         self.stopping = False
         """After a stop command or an expired set-point, until the next set-point: each board ramps down from its own
         measured speed, so the final positions differ."""
-        self._number = number
+        self.number = number
         self._name = axis_name(number)
         self._expired = False  # set-point expired on either board at the last sample
         self._faulted = False  # the real axis is in FAULT and ignores an enable
@@ -46,6 +53,7 @@ class AxisAlignment:
         self._set_here = (methods["HERE"], methods["ASSUME"])
         self._settings = {states["KNOWN"]: methods["HERE"], states["ASSUMED"]: methods["ASSUME"]}
         self._homing = states["HOMING"]
+        self._referenced = (states["KNOWN"], states["ASSUMED"])
 
     @property
     def offset(self) -> int:
@@ -80,31 +88,37 @@ class AxisAlignment:
             True if the real axis is in closed-loop control, so that the twin's axis must be enabled.
         """
         self._begin()
-        self._offset = _int32(sample.position[self._number] - replica.raw[f"{self._name}.position"])
-        if activity(sample.labels[self._number]) is not Activity.ACTIVE:
+        self._offset = _int32(sample.position[self.number] - replica.raw[f"{self._name}.position"])
+        if activity(sample.labels[self.number]) is not Activity.ACTIVE:
             return False
-        self._hold = sample.position_ref[self._number]
+        self._hold = sample.position_ref[self.number]
         return True
 
     def set_home_state(self, replica: Replica, sample: Sample) -> None:
         """Set the home state of the twin to that of the board; both shafts must be at standstill."""
-        method = self._settings.get(sample.home_states[self._number])
+        method = self._settings.get(sample.home_states[self.number])
         if method is not None:
             own = replica.raw[f"{self._name}.position"]
-            replica.write("cmd.home_position", [own] * AXES, 1 << self._number)
-            replica.write(_HOME, [method] * AXES, 1 << self._number)
+            replica.write("cmd.home_position", [own] * AXES, 1 << self.number)
+            replica.write(_HOME, [method] * AXES, 1 << self.number)
 
     def homed(self, before: Sample | None, sample: Sample) -> bool:
         """True if the homing of the real axis has ended at this sample; the twin's position is then invalid."""
-        was = before is not None and before.home_states[self._number] == self._homing
-        return was and sample.home_states[self._number] != self._homing
+        was = before is not None and before.home_states[self.number] == self._homing
+        return was and sample.home_states[self.number] != self._homing
+
+    def shaft(self, sample: Sample) -> ShaftPosition:
+        """Where the real shaft is."""
+        return ShaftPosition(
+            sample.values[f"{self._name}.position"], sample.home_states[self.number] in self._referenced
+        )
 
     # ---- commands
     def remember(self, command: AppliedCommand) -> None:
         """Store a command of the real axis in `last_written`."""
-        if command.mask >> self._number & 1 and command.variable != POINTS:
-            self.last_written[command.variable] = command.raw[self._number]
-            if command.variable == "cmd.enable" and command.raw[self._number] == 1:
+        if command.mask >> self.number & 1 and command.variable != POINTS:
+            self.last_written[command.variable] = command.raw[self.number]
+            if command.variable == "cmd.enable" and command.raw[self.number] == 1:
                 self.last_written["cmd.quick_stop"] = 0  # as in the firmware
 
     def repeat(self, replica: Replica, command: AppliedCommand) -> bool:
@@ -115,7 +129,7 @@ class AxisAlignment:
         bool
             True if the command contains points for this axis; the caller writes the points of all axes together.
         """
-        if not command.mask >> self._number & 1:
+        if not command.mask >> self.number & 1:
             return False
         if command.variable in _SET_POINTS:
             if self._hold is not None and not self._aligned:
@@ -129,13 +143,13 @@ class AxisAlignment:
         if command.variable == POINTS:
             self.stopping = False
             return True
-        if command.variable == _HOME and command.raw[self._number] not in self._set_here:
+        if command.variable == _HOME and command.raw[self.number] not in self._set_here:
             return False  # the twin has no model of the stops and switches of the real axis
-        assignment = command.variable, command.raw[self._number]
+        assignment = command.variable, command.raw[self.number]
         if assignment == ("cmd.clear_faults", 1):
             self._faulted = False
         if not (self._faulted and assignment == _ENABLE):
-            self._write(replica, command.variable, command.raw[self._number])
+            self._write(replica, command.variable, command.raw[self.number])
         self.remember(command)
         if command.variable in _SET_POINTS:
             self.stopping = False
@@ -145,33 +159,33 @@ class AxisAlignment:
 
     def _write(self, replica: Replica, variable: str, raw: int) -> None:
         own = _int32(raw - self._offset) if variable in _POSITIONS else raw
-        replica.write(variable, [own] * AXES, 1 << self._number)
+        replica.write(variable, [own] * AXES, 1 << self.number)
 
     def observe(self, replica: Replica, sample: Sample) -> None:
         """Update the states "set-point expired" and "in FAULT" of the boards."""
-        expired = sample.expired[self._number] or replica.expired(self._number)
+        expired = sample.expired[self.number] or replica.expired(self.number)
         self.stopping = self.stopping or (expired and not self._expired)
         self._expired = expired
-        self._faulted = sample.labels[self._number] == "FAULT"
+        self._faulted = sample.labels[self.number] == "FAULT"
 
     # ---- alignment
     def must_catch_up(self, replica: Replica, sample: Sample) -> bool:
         """True if the real axis is in closed-loop control, the twin is not, and `catch_up` has not been called."""
-        if activity(sample.labels[self._number]) is not Activity.ACTIVE:
+        if activity(sample.labels[self.number]) is not Activity.ACTIVE:
             self._release()
             return False
         if self._hold is None:
-            self._hold = sample.position_ref[self._number]
+            self._hold = sample.position_ref[self.number]
         return not (self._aligned or self._caught_up or self.in_control(replica))
 
     def catch_up(self, replica: Replica, seconds: float) -> None:
         """Run the twin's board ahead until closed-loop control or a fault of this axis, at most `seconds` [s]."""
         self._caught_up = True
-        reached(replica, lambda: self.in_control(replica) or replica.label(self._number) == "FAULT", seconds, POLL)
+        reached(replica, lambda: self.in_control(replica) or replica.label(self.number) == "FAULT", seconds, POLL)
 
     def in_control(self, replica: Replica) -> bool:
         """True if the twin's axis is in closed-loop control."""
-        return activity(replica.label(self._number)) is Activity.ACTIVE
+        return activity(replica.label(self.number)) is Activity.ACTIVE
 
     def align(self, replica: Replica) -> bool:
         """Determine the offset when both axes have entered closed-loop control, before any set-point.
@@ -191,7 +205,7 @@ class AxisAlignment:
         """Write the last commands of the real axis to the newly aligned axis."""
         mode = self.last_written.get("cmd.mode", 0)
         # Writing the mode again would end the position hold.
-        variables = ["cmd.mode"] if replica.read_words("cmd.mode")[self._number] != mode else []
+        variables = ["cmd.mode"] if replica.read_words("cmd.mode")[self.number] != mode else []
         if self._set_point_deferred:
             variables.append(_SET_POINTS[mode])
             self._set_point_deferred = False
@@ -210,14 +224,14 @@ class AxisAlignment:
         bool
             True if the offset has changed.
         """
-        real, twin = activity(sample.labels[self._number]), activity(replica.label(self._number))
+        real, twin = activity(sample.labels[self.number]), activity(replica.label(self.number))
         if real is not twin or not (real is Activity.IDLE or self._aligned):
             return False
         self.stopping = False
         if real is Activity.ACTIVE:
-            offset = sample.position_ref[self._number] - replica.raw[f"{self._name}.position_ref"]
+            offset = sample.position_ref[self.number] - replica.raw[f"{self._name}.position_ref"]
         else:
-            offset = sample.position[self._number] - replica.raw[f"{self._name}.position"]
+            offset = sample.position[self.number] - replica.raw[f"{self._name}.position"]
         offset = _int32(offset)
         changed, self._offset = offset != self._offset, offset
         return changed
@@ -225,8 +239,8 @@ class AxisAlignment:
     # ---- comparison
     def difference(self, replica: Replica, sample: Sample) -> tuple[str, bool]:
         """Reason why the axes are not comparable (empty: comparable), and whether it is a rotor search or homing."""
-        real, twin = sample.labels[self._number], replica.label(self._number)
-        if sample.home_states[self._number] == self._homing:
+        real, twin = sample.labels[self.number], replica.label(self.number)
+        if sample.home_states[self.number] == self._homing:
             self.different_since = sample.tick
             return f"{self._name} is being homed", True
         kinds = {activity(real), activity(twin)}
@@ -240,7 +254,7 @@ class AxisAlignment:
 
     def in_real_coordinates(self, replica: Replica, sample: Sample) -> dict[str, int]:
         """Positions of the twin's axis in the unwrapped coordinates of the real axis [counts], by variable name."""
-        near = sample.position[self._number]
+        near = sample.position[self.number]
         names = [f"{self._name}.{name}" for name in ROTOR_REFERENCED]
         return {name: near + _int32(replica.raw[name] + self._offset - near) for name in names}
 

@@ -34,7 +34,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS, TICK
 
 from servo_twin.board import Board
 from servo_twin.lockstep.applied_commands import AppliedCommands
-from servo_twin.lockstep.axis_alignment import POINTS, AxisAlignment
+from servo_twin.lockstep.axis_alignment import POINTS, AxisAlignment, ShaftPosition
 from servo_twin.lockstep.blocks import (
     TAKE,
     Blocks,
@@ -49,6 +49,7 @@ from servo_twin.lockstep.replica import POLL, Replica, slow_tick
 from servo_twin.lockstep.samples import PER_BOARD, Activity, Sample, SampleReader, StandstillDetector, activity
 from servo_twin.plant import PlantConfig
 
+Attach = Callable[[Board, Mapping[int, ShaftPosition]], object]
 _POSITIONS: Final = ("param.position_min", "param.position_max")  # parameters with absolute positions
 _FOREVER: Final = 1 << 63  # later than any tick
 _SETTLE: Final = 2.0  # longest time from reset to STOP [s]
@@ -92,6 +93,9 @@ class Twin:
         Times.
     catalogue : Catalogue, optional
         Table of variables; the packaged one by default.
+    attach : callable, optional
+        Attaches a model of what the shafts move to the twin's board. Where the real shafts are, by axis; empty: both
+        boards have just been reset.
     """
 
     def __init__(
@@ -99,6 +103,7 @@ class Twin:
         new_board: Callable[[], Board],
         settings: TwinSettings | None = None,
         catalogue: Catalogue | None = None,
+        attach: Attach | None = None,
     ) -> None:
         self.settings = settings or TwinSettings()
         self.status = "no telemetry yet"  # reason why the twin is not synchronised; empty: synchronised
@@ -109,6 +114,8 @@ class Twin:
         self.torque_constants: list[float] = []  # per axis, from the firmware [N m/A]; empty: not synchronised yet
         self._catalogue = catalogue or Catalogue.load()
         self._new_board = new_board
+        self._attach = attach
+        self._attached = False  # the model is attached to the twin's present board
         self._reader = SampleReader(self._catalogue)
         self._commands = AppliedCommands()
         self._resolution = [1] * AXES  # position counts per count of the encoder
@@ -330,6 +337,8 @@ class Twin:
         difference = self._difference(replica, sample)
         if self._replica is None:
             return None
+        if not difference:
+            self._attach_model(replica, {axis.number: axis.shaft(sample) for axis in self._axes})
         self._last_difference = difference
         if self._bursts.sampling:
             self._bursts.note(self._alignment(sample))
@@ -356,7 +365,7 @@ class Twin:
     def _begin(self, sample: Sample) -> bool:
         """Create and align the twin's board if this sample permits it; returns true if so."""
         if self._commands.from_reset and not self._missing(sample) and sample.tick <= _ticks(self.settings.from_reset):
-            replica = self._switch_on()
+            replica = self._switch_on(attached=True)
             if not self._has_blocks(replica):  # the real board has loaded its configuration from the data flash
                 write_blocks(replica, self._blocks)
                 self._note_torque(replica)
@@ -387,8 +396,11 @@ class Twin:
         self._shift = replica.tick - sample.tick
         return True
 
-    def _switch_on(self) -> Replica:
+    def _switch_on(self, attached: bool = False) -> Replica:
         self._replica = replica = Replica(self._new_board())
+        self._attached = False
+        if attached:
+            self._attach_model(replica, {})
         self._note_torque(replica)
         self._in_force = self._parameters or {v.name: replica.read_words(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
@@ -396,6 +408,12 @@ class Twin:
         self.status = self._cause = ""
         self._bursts.begin(replica)
         return replica
+
+    def _attach_model(self, replica: Replica, shafts: Mapping[int, ShaftPosition]) -> None:
+        """Attach the model of what the shafts move, once; a rotor search needs a free shaft, or one at its start."""
+        if self._attach is not None and not self._attached:
+            self._attached = True
+            self._attach(replica.board, shafts)
 
     def _note_torque(self, replica: Replica) -> None:
         constants = (replica.board.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))

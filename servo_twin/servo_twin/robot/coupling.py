@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.board_port import active, choose, place, reached, read_axis, word, write_axis
-from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS, TICK_NS
 
-from servo_twin.board import Board
+from servo_twin.board import Board, BoardError
 from servo_twin.board_state import BoardState
 from servo_twin.simulation import SEARCH_MAX, SimulationError, enable
 
@@ -74,64 +74,6 @@ class CoupledState:
     drives: _Array  # private numbers of the coupling, one row per quantity
 
 
-@dataclass(frozen=True)
-class RobotPort:
-    """`servo_msgs_py.board_port.BoardPort` of one board, whose time is that of the robot."""
-
-    board: Board
-    robot: RobotDrives
-
-    @property
-    def catalogue(self) -> Catalogue:
-        """Variables of the board."""
-        return self.board.catalogue
-
-    def clock(self) -> float:
-        """Simulated time of the board [s]."""
-        return self.board.clock()
-
-    def wait(self, seconds: float) -> None:
-        """See `RobotDrives.wait`."""
-        self.robot.wait(seconds)
-
-    def read_words(self, name: str) -> list[int]:
-        """See `Board.read_words`."""
-        return self.board.read_words(name)
-
-    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        """See `Board.write_words`."""
-        return self.board.write_words(name, words, first)
-
-
-class SerialRobot:
-    """A robot in place of its board for `servo_twin.virtual_board.serve`: time advances in steps of the model.
-
-    Raises
-    ------
-    CouplingError
-        If the robot has more than one board.
-    """
-
-    def __init__(self, robot: RobotDrives) -> None:
-        if len(robot.boards) > 1:
-            raise CouplingError(
-                f"the robot has {len(robot.boards)} boards, a serial line one; name the axes axis1 and axis2 only"
-            )
-        self._robot, (self._board,) = robot, robot.boards
-        self.serial_in, self.serial_out = self._board.serial_in, self._board.serial_out
-        self.serial_next_ns = self._board.serial_next_ns
-
-    @property
-    def time_ns(self) -> int:
-        """Simulated time since reset [ns]."""
-        return self._board.time_ns
-
-    def advance(self, until_ns: int) -> None:
-        """Make all steps that end until this simulated time [ns]."""
-        while self.time_ns + self._robot.step_ns <= until_ns:
-            self._robot.step()
-
-
 class RobotDrives:
     """Boards whose axes move joints of a MuJoCo model.
 
@@ -144,7 +86,8 @@ class RobotDrives:
     model, data : mujoco.MjModel, mujoco.MjData
         The model and its state. The time step is a multiple of a PWM period, 62.5 us.
     boards : Board or sequence of Board
-        The boards, at any instant. From now on only the coupling lets their time elapse.
+        The boards, at any instant. From now on their time elapses in the steps of the model (`Board.follow`): what
+        runs a board moves the robot.
     drives : sequence of Drive
         Actuators of the axes. An axis that is not named keeps the rotor of its plant.
 
@@ -177,6 +120,8 @@ class RobotDrives:
         # TRAJECTORY one and two points ago; tick of the firmware at time 0 of its board [PWM periods].
         self._numbers = np.full((4, len(ids)), math.nan)
         self._time = float(data.time)
+        self._ends: dict[Board, int] = {}  # end of the step under way [ns]; empty: none is
+        self._impulses: list[float] = []  # of each drive at the begin of that step [N m s]
         self._point_steps = -(-_POINT_NS // self.step_ns)
         for drive, (board, axis) in zip(self.drives, self._where, strict=True):
             if drive.mode is not None:
@@ -186,7 +131,12 @@ class RobotDrives:
                     f"actuator '{drive.actuator}': in mode TRAJECTORY the time step of the model is a multiple of "
                     'a slow tick; write for example <option timestep="0.0005"/>'
                 )
-        self._start = self.state()
+        for board in self.boards:
+            board.follow(self)
+        try:
+            self._start: CoupledState | None = self.state()
+        except BoardError:  # it samples; `reset` says so
+            self._start = None
 
     @property
     def delays(self) -> _Array:
@@ -208,14 +158,10 @@ class RobotDrives:
         """Mean torques of the motors in the last step [N m]."""
         return np.array(self.data.act[self._act])
 
-    def port(self, board: int = 0) -> RobotPort:
-        """One of the boards, for functions over a `BoardPort`."""
-        return RobotPort(self.boards[board], self)
-
     # ---- time -------------------------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """One time step of model and boards.
+        """One time step of model and boards, or the rest of the step under way.
 
         Raises
         ------
@@ -224,6 +170,30 @@ class RobotDrives:
         BoardError
             If a joint jumps or turns the motor faster than 2000 rad/s.
         """
+        if not self._ends:
+            self._begin()
+        self.finish()
+
+    def finish(self) -> None:
+        """Complete the step under way, if there is one."""
+        if not self._ends:
+            return
+        for board, end_ns in self._ends.items():
+            board.advance_alone(end_ns)
+        self._ends = {}
+        after = [board.impulse(axis) for board, axis in self._where]
+        self.data.act[self._act] = np.subtract(after, self._impulses) / (self.step_ns * 1e-9)
+
+    def end_ns(self, board: Board) -> int:
+        """End of the present step of a board [ns], see `servo_twin.board.Leader`."""
+        if self._ends and board.time_ns >= self._ends[board]:
+            self.finish()
+        if not self._ends:
+            self._begin()
+        return self._ends[board]
+
+    def _begin(self) -> None:
+        """Step the model, and let the boards follow its motion."""
         if abs(self.data.time - self._time) > _TIME_TOLERANCE:
             raise CouplingError(
                 f"the time of mjData is {self.data.time:g} s, that of the boards {self._time:g} s: "
@@ -232,19 +202,12 @@ class RobotDrives:
         self._command()
         mujoco.mj_step(self.model, self.data)
         self._time = float(self.data.time)
-        self.data.act[self._act] = self._mean_torques()
-
-    def _mean_torques(self) -> _Array:
-        """Let the boards follow the motion of the model; mean torque of each motor since the previous step [N m]."""
-        before = [board.impulse(axis) for board, axis in self._where]
+        self._impulses = [board.impulse(axis) for board, axis in self._where]
         speeds, angles = self.speeds(), self.lengths() + self._offset
         ends = {board: (board.time_ns // self.step_ns + 1) * self.step_ns for board in self.boards}
         for (board, axis), angle, speed in zip(self._where, angles.tolist(), speeds.tolist(), strict=True):
             board.drive_shaft(axis, angle, speed, (ends[board] - board.time_ns) * 1e-9)
-        for board, end_ns in ends.items():
-            board.advance(end_ns)
-        after = [board.impulse(axis) for board, axis in self._where]
-        return np.subtract(after, before) / (self.step_ns * 1e-9)
+        self._ends = ends
 
     def _command(self) -> None:
         """Give the control signals to the firmware."""
@@ -320,7 +283,7 @@ class RobotDrives:
         SimulationError
             If an axis has a fault, or on a timeout of the rotor search.
         """
-        seconds = sum(enable(self.port(board), search_max) for board in range(len(self.boards)))
+        seconds = sum(enable(board, search_max) for board in self.boards)
         self.align()
         return seconds
 
@@ -329,6 +292,7 @@ class RobotDrives:
 
         The firmware counts its position from the rotor search or from the home position; call this after either.
         """
+        self.finish()
 
         def of(name: str) -> list[float]:
             return [read_axis(board, f"{axis_name(axis)}.{name}", 0) for board, axis in self._where]
@@ -356,22 +320,22 @@ class RobotDrives:
             If the firmware does not find its reference.
         """
         board, axis = self._where[drive]
-        port = self.port(self.boards.index(board))
         self._numbers[0, drive] = math.nan  # a set-point would end the homing
-        choose(port, "cmd.home", axis, method)
+        choose(board, "cmd.home", axis, method)
 
         def result() -> str:
-            return port.catalogue.label("home_result_t", word(port, axis, "home_result"))
+            return board.catalogue.label("home_result_t", word(board, axis, "home_result"))
 
-        port.wait(0.01)
-        if not reached(port, lambda: result() != "RUNNING", _HOMING_MAX, 0.01) or result() != "DONE":
-            faults = ", ".join(sorted(active(port, axis)))
+        board.wait(0.01)
+        if not reached(board, lambda: result() != "RUNNING", _HOMING_MAX, 0.01) or result() != "DONE":
+            faults = ", ".join(sorted(active(board, axis)))
             where = f"actuator '{self.drives[drive].actuator}'"
             raise SimulationError(f"{where}: homing {method} ends with {result()}" + (f"; {faults}" if faults else ""))
         self.align()
 
     def state(self) -> CoupledState:
-        """Complete state of model and boards; at level ``registers`` see `Board.state`."""
+        """Complete state of model and boards, at the end of the step under way; see `Board.state`."""
+        self.finish()
         signature = mujoco.mjtState.mjSTATE_INTEGRATION
         simulator = np.empty(mujoco.mj_stateSize(self.model, signature))
         mujoco.mj_getState(self.model, self.data, simulator, signature)
@@ -391,18 +355,29 @@ class RobotDrives:
         for board, image in zip(self.boards, state.boards, strict=True):
             board.restore(image)
         mujoco.mj_setState(self.model, self.data, state.simulator, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self._time, self._numbers = state.time, state.drives.copy()
+        self._time, self._numbers, self._ends = state.time, state.drives.copy(), {}
 
     def reset(self) -> None:
-        """Continue from the state at construction."""
+        """Continue from the state at construction.
+
+        Raises
+        ------
+        CouplingError
+            If a board was sampling then.
+        """
+        if self._start is None:
+            raise CouplingError("a board was sampling when it was coupled; end the sampling before that")
         self.restore(self._start)
 
     def copy(self) -> RobotDrives:
         """The same robot and boards once more, with the same model; each continues by itself."""
+        self.finish()
         other = copy.copy(self)
         other.data, other.boards = copy.copy(self.data), tuple(board.copy() for board in self.boards)
         other._where = [(other.boards[drive.axis // AXES], drive.axis % AXES) for drive in self.drives]
         other._numbers = self._numbers.copy()
+        for board in other.boards:
+            board.follow(other)
         return other
 
 

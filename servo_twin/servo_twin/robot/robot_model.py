@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +20,9 @@ from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.text_file import parse_toml
 
 from servo_twin.board import Board
-from servo_twin.level import Level
+from servo_twin.lockstep.axis_alignment import ShaftPosition
 from servo_twin.plant import PlantConfig
+from servo_twin.robot.command import EXAMPLES
 from servo_twin.robot.coupling import CouplingError, Drive, Mode, RobotDrives
 from servo_twin.servo_config import ServoConfig, servo_table
 
@@ -142,30 +144,15 @@ class RobotModel:
         mujoco.mj_forward(self.model, data)
         return data
 
-    def robot(
-        self,
-        plant: PlantConfig,
-        *,
-        seed: int = 1,
-        level: Level | None = None,
-        baud: float = 115200.0,
-        flash: bytes | None = None,
-        by_ctrl: bool = True,
-    ) -> RobotDrives:
-        """The robot with new boards, whose shafts have the angles of the model.
+    def robot(self, plant: PlantConfig, **settings: Any) -> RobotDrives:
+        """The robot with new boards, whose shafts have the angles of the model; `ctrl` commands them.
 
         Parameters
         ----------
         plant : PlantConfig
             Plant of every board, before the changes by the file.
-        seed : int
-            Seed of the first board; each further one has the next.
-        level : {"registers", "ideal"}, optional
-            Level of the boards.
-        baud, flash
-            See `Board`.
-        by_ctrl : bool
-            Whether `ctrl` commands the axes; else another host does, and the motion begins now.
+        **settings
+            For `Board`; each further board has the next seed. A `servo` replaces the configuration in the file.
 
         Raises
         ------
@@ -173,6 +160,93 @@ class RobotModel:
             If a drive does not fit the model, or a value of the file is not valid.
         """
         data = self.start()
+        return RobotDrives(self.model, data, self._boards(plant, data, settings), self.drives)
+
+    def on_line(self, plant: PlantConfig, **settings: Any) -> RobotDrives:
+        """As `robot`, but a host at the serial line commands the only board, and the motion begins now.
+
+        Raises
+        ------
+        CouplingError
+            Also if the robot has more than one board.
+        """
+        return self.attached(self.board(plant, **settings), {})
+
+    @property
+    def name(self) -> str:
+        """Name of an example, or absolute path of the file."""
+        return self.path.stem if self.path.parent == EXAMPLES else str(self.path.absolute())
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the compiled model, hexadecimal: equal models move alike."""
+        buffer = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        return hashlib.sha256(buffer.tobytes()).hexdigest()
+
+    def board(self, plant: PlantConfig, **settings: Any) -> Board:
+        """The only board of the robot, with shafts of its own; parameters as of `robot`."""
+        first, *more = self._boards(plant, self.start(), settings)
+        if more:
+            raise CouplingError(
+                f"{self.path}: the robot has {1 + len(more)} boards, a serial line one; name the axes axis1 and axis2 "
+                "only"
+            )
+        return first
+
+    def attached(self, board: Board, lengths: Mapping[int, float]) -> RobotDrives:
+        """The robot at rest in a pose, moved by a board of `board`, which a host at its serial line commands.
+
+        Parameters
+        ----------
+        board : Board
+            From now on the model moves its shafts.
+        lengths : mapping
+            Length of the actuator of an axis, the angle of its motor [rad]; others are those of the initial state.
+        """
+        data = self.start()
+        drives = [replace(drive, mode=None) for drive in self.drives]
+        for drive in drives:
+            if drive.axis in lengths:
+                actuator = self.model.actuator(drive.actuator).id
+                joint = self.model.jnt_qposadr[self.model.actuator_trnid[actuator, 0]]
+                data.qpos[joint] = lengths[drive.axis] / self.model.actuator_gear[actuator, 0]
+        mujoco.mj_forward(self.model, data)
+        self.release(data)
+        return RobotDrives(self.model, data, board, drives)
+
+    def attach(self, board: Board, shafts: Mapping[int, ShaftPosition]) -> None:
+        """Let the robot move the shafts of a twin's board (`servo_twin.lockstep.twin.Twin`).
+
+        A position that is counted from where the rotor was found belongs to a robot that began in its initial state;
+        the home position is at length 0 of the actuator.
+        """
+        start = self.start().actuator_length
+        lengths = {
+            drive.axis: shafts[drive.axis].theta
+            + (0.0 if shafts[drive.axis].referenced else float(start[self.model.actuator(drive.actuator).id]))
+            for drive in self.drives
+            if drive.axis in shafts
+        }
+        self.attached(board, lengths)
+
+    def _boards(self, plant: PlantConfig, data: Any, settings: Mapping[str, Any]) -> list[Board]:
+        servo, seed = settings.get("servo"), settings.get("seed", 1)
+        boards = [
+            Board(one, **{**settings, "servo": servo or self._servo_config(k), "seed": seed + k})
+            for k, one in enumerate(self._plants(plant, data))
+        ]
+        for board in boards:
+            for assignment in self._parameters:
+                if not board.write_words(assignment.variable.name, assignment.raw, assignment.element or 0):
+                    raise CouplingError(f"{self.path}: {assignment.text}: refused by the firmware")
+        return boards
+
+    def plant(self, plant: PlantConfig) -> PlantConfig:
+        """Plant of the first board."""
+        return self._plants(plant, self.start())[0]
+
+    def _plants(self, plant: PlantConfig, data: Any) -> list[PlantConfig]:
         plants = [plant] * (1 + max(drive.axis for drive in self.drives) // AXES)
         for board, name, value in self._plant:
             with self._checking():
@@ -182,18 +256,7 @@ class RobotModel:
             if actuator >= 0:  # otherwise refused by RobotDrives
                 board, axis = divmod(drive.axis, AXES)
                 plants[board] = plants[board].with_axis(axis, theta_start=float(data.actuator_length[actuator]))
-        boards = [
-            Board(plants[k], seed=seed + k, level=level, baud=baud, servo=self._servo_config(k), flash=flash)
-            for k in range(len(plants))
-        ]
-        for one in boards:
-            for assignment in self._parameters:
-                if not one.write_words(assignment.variable.name, assignment.raw, assignment.element or 0):
-                    raise CouplingError(f"{self.path}: {assignment.text}: refused by the firmware")
-        if by_ctrl:
-            return RobotDrives(self.model, data, boards, self.drives)
-        self.release(data)
-        return RobotDrives(self.model, data, boards, [replace(drive, mode=None) for drive in self.drives])
+        return plants
 
     def _servo_config(self, board: int) -> ServoConfig | None:
         """Configuration of a board; None: that of the firmware."""

@@ -24,6 +24,7 @@ from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import FAST_LEVEL, add_level_option, chosen_level
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
+from servo_twin.robot.command import load as load_robot
 from servo_twin.runs import replay_report, spectrum, steps
 from servo_twin.runs.alignment import FIT, RESET, START, shift_of
 from servo_twin.runs.compare import Compared, compare, table
@@ -65,6 +66,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="what if: another build, a checkout after `make build`",
     )
+    replayer.add_argument("--robot", metavar="MODEL", help="what if: another MuJoCo model that the shafts move")
     replayer.add_argument("--seed", type=int, help="seed of the sensor noise (default: recorded, or 1)")
     add_level_option(replayer, "the twin is", FAST_LEVEL)
     _add_common_options(replayer, ".mcap, .rrd or .json")
@@ -235,6 +237,7 @@ def _replay(args: argparse.Namespace) -> int:
         level,
         args.seed,
         firmware_of(args.firmware) if args.firmware else None,
+        load_robot(args.robot) if args.robot else None,
     )
     _check_suffixes(args.output, (*_OUTPUTS, ".json"))
     run = RecordedRun(args.run, args.namespace)

@@ -28,12 +28,10 @@ from servo_twin.lockstep.blocks import TAKE
 from servo_twin.runs.recorded import RecordedRun, message_of
 from servo_twin.runs.replay import (
     REPLAYED,
-    SETTINGS,
     Explained,
     MemberChange,
     Model,
     Replayed,
-    WithOwnConfiguration,
 )
 from servo_twin.servo_config import ServoConfig, servo_table
 
@@ -142,7 +140,7 @@ class _Search:
 
     def _replay(self, model: Model) -> tuple[_Array, _Array]:
         """Samples of twin and board, (samples, variables)."""
-        twin = WithOwnConfiguration(model.board, SETTINGS, self._catalogue)
+        twin = replace(model, keeps_configuration=False).twin(self._catalogue)
         own: list[list[float]] = []
         recorded: list[list[float]] = []
         try:

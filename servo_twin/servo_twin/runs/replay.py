@@ -6,7 +6,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from servo_msgs_py.axis_config import Member
@@ -19,7 +19,7 @@ from servo_msgs_py.text_file import parse_toml
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
-from servo_twin.board import FIRMWARE, Board, Firmware
+from servo_twin.board import FIRMWARE, Board, Firmware, SimulationError
 from servo_twin.diagnosis.monitor import LocatedFinding
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
 from servo_twin.level import FAST_LEVEL, Level
@@ -27,9 +27,13 @@ from servo_twin.lockstep.blocks import TAKE, Blocks, checksums_of
 from servo_twin.lockstep.board_topics import BOARD_TOPICS
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
+from servo_twin.robot.command import load as load_robot
 from servo_twin.runs.divergence import Departure, Divergence, Estimates
 from servo_twin.runs.recorded import Contents, RecordedRun, RunError, message_of
 from servo_twin.servo_config import ServoConfig, servo_table
+
+if TYPE_CHECKING:
+    from servo_twin.robot.robot_model import RobotModel
 
 _BURSTS: Final = (topics.RECORDER, topics.RECORDING)
 REPLAYED: Final = {topic.name: topic for topic in BOARD_TOPICS if topic.name not in _BURSTS}
@@ -48,6 +52,7 @@ class WhatIf:
     level: Level | None = None
     seed: int | None = None
     firmware: Firmware | None = None  # another build of firmware and model, at level ideal
+    robot: RobotModel | None = None  # MuJoCo model of what the shafts move
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,17 @@ class Model:
     firmware: Firmware | None = None  # another build; None: that of this checkout
     other_build: str | None = None  # how it differs from the recorded build, for people; empty: equal; None: not known
     notes: tuple[str, ...] = ()  # why it may differ from the recorded board; for people
+    robot: RobotModel | None = None  # what the shafts move; None: the load of the plant
 
     def board(self) -> Board:
         """A new board."""
-        return Board(self.plant, seed=self.seed, level=self.level, servo=self.servo, firmware=self.firmware)
+        new = Board if self.robot is None else self.robot.board
+        return new(self.plant, seed=self.seed, level=self.level, servo=self.servo, firmware=self.firmware)
+
+    def twin(self, catalogue: Catalogue) -> Twin:
+        """A twin with such a board."""
+        kind = Twin if self.keeps_configuration else WithOwnConfiguration
+        return kind(self.board, SETTINGS, catalogue, None if self.robot is None else self.robot.attach)
 
 
 def model_of(contents: Contents, what_if: WhatIf) -> Model:
@@ -101,6 +113,12 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
             notes.append(f"recorded at level {virtual.level}: equal boards differ within noise")
         notes += [f"a fault was injected: {fault}" for fault in virtual.faults]
     exact = virtual is not None and virtual.level == FAST_LEVEL == (what_if.level or FAST_LEVEL)
+    robot = what_if.robot
+    if robot is None and virtual is not None and virtual.robot:
+        robot, problem = _recorded_robot(virtual)
+        if problem:
+            notes.append(problem)
+            exact = False
     seed = what_if.seed if what_if.seed is not None else virtual.seed if virtual is not None else 1
     return Model(
         what_if.plant or plant,
@@ -112,7 +130,19 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
         what_if.firmware,
         None if virtual is None else _other_build(virtual, what_if.firmware),
         tuple(notes),
+        robot,
     )
+
+
+def _recorded_robot(recorded: VirtualBoard) -> tuple[RobotModel | None, str]:
+    """Model of what the shafts of a virtual board moved, and what is wrong with it; for people."""
+    try:
+        robot = load_robot(recorded.robot)
+    except (SimulationError, ValueError) as error:
+        return None, f"without the robot that the shafts moved: {error}; --robot gives its model"
+    if robot.sha256 != recorded.robot_sha256:
+        return robot, f"the model {recorded.robot} is not the recorded one; --robot gives another"
+    return robot, ""
 
 
 def _other_build(recorded: VirtualBoard, firmware: Firmware | None) -> str | None:
@@ -256,8 +286,7 @@ class Replay:
     ) -> None:
         self._run, self._model = run, model
         self._catalogue = Catalogue.load()
-        kind = Twin if model.keeps_configuration else WithOwnConfiguration
-        self._twin = kind(model.board, SETTINGS, self._catalogue)
+        self._twin = model.twin(self._catalogue)
         self._divergence = Divergence(
             model.plant,
             calibrated or DiagnosisThresholds.load(None, model.level),
