@@ -16,8 +16,14 @@ from targets.sources import Sources
 
 Needs = Callable[[Target], None]
 
-REFUSALS = ("return FM_PASSWORD_NEEDED;", "return RESULT_LEVEL;", "return POINT_REFUSAL_MEASUREMENT;")
-"""Refusals without a login and during a measurement: the runs have neither passwords nor measurements."""
+REFUSALS = (
+    "return FM_PASSWORD_NEEDED;",
+    "return RESULT_LEVEL;",
+    "return POINT_REFUSAL_MEASUREMENT;",
+    "return POINT_REFUSAL_BUSY;",
+)
+"""Refusals without a login and during a measurement, because the runs have neither passwords nor measurements, and one
+that depends on the instants at which bytes are received."""
 
 NOT_ON_A_TARGET = {
     # The replay has one thread: the server is not interrupted.
@@ -32,9 +38,6 @@ NOT_ON_A_TARGET = {
     # All commands of this application are completed at the first request.
     "freemaster_finish_command",
     "app_command_finish",
-    # The flash of a target is erased at the start of a run.
-    "layout_1",
-    "enable_oscillation",
     # DRM 4.5 lists the transition, but no flag causes it.
     "stop_init",
     # A wait of 25 s is too long for a recording.

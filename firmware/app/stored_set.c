@@ -9,17 +9,6 @@ typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
 /* Words of the head of a set. */
 enum { WORD_FORMAT, WORD_LENGTH, WORD_SEQUENCE, WORD_LAYOUT };
 
-/* Before the fault OSCILLATION a set had the same numbers; in a restored one this fault is enabled. Once the layout
- * differs from LAYOUT_26_FAULTS, older sets are those of another firmware, and these readers can be removed. */
-#define LAYOUT_25_FAULTS UINT32_C(0xBA26E999)
-#define LAYOUT_26_FAULTS UINT32_C(0xFD6F0BEC)
-
-/* Format 1 had two layouts. A set of its last firmware is that of LAYOUT_25_FAULTS in the present format. */
-#define FORMAT_1 UINT32_C(0x31535653)
-#define FORMAT_1_PARAMETERS UINT32_C(0xC4DA1EDC)
-#define FORMAT_1_MEMBERS UINT32_C(0x23554EBA)
-#define FORMAT_1_HEAD 5U
-
 /* ---- numbers of a set ----------------------------------------------------------------------------------------------- */
 
 /* Element `number`, counted through the elements of all parameters. `number` must be below PARAMETER_VALUES: the search
@@ -84,21 +73,11 @@ static bool is_erased(hal_t *hal, uint16_t copy)
     return i == STORED_ROOM;
 }
 
-/* Words before the first number; 0: unknown format. */
-static uint16_t head_of(hal_t *hal, uint16_t copy)
-{
-    const uint32_t format = read_word(hal, copy, WORD_FORMAT);
-    if (format == STORED_FORMAT) {
-        return STORED_HEAD;
-    }
-    return (format == FORMAT_1) ? FORMAT_1_HEAD : 0U;
-}
-
 /* True if the checksum of the copy is valid, for any layout. */
 static bool is_sealed(hal_t *hal, uint16_t copy)
 {
     const uint32_t length = read_word(hal, copy, WORD_LENGTH);
-    if (head_of(hal, copy) == 0U || length <= head_of(hal, copy) || length > STORED_ROOM) {
+    if (read_word(hal, copy, WORD_FORMAT) != STORED_FORMAT || length <= STORED_HEAD || length > STORED_ROOM) {
         return false;
     }
     uint32_t crc = CRC32_START;
@@ -108,29 +87,9 @@ static bool is_sealed(hal_t *hal, uint16_t copy)
     return read_word(hal, copy, (uint16_t)(length - 1U)) == crc32_end(crc);
 }
 
-static uint32_t layout_1(hal_t *hal, uint16_t copy)
-{
-    const bool last = read_word(hal, copy, WORD_LAYOUT) == FORMAT_1_PARAMETERS &&
-                      read_word(hal, copy, WORD_LAYOUT + 1U) == FORMAT_1_MEMBERS;
-    return last ? LAYOUT_25_FAULTS : ~STORED_LAYOUT;
-}
-
-static uint32_t layout_of(hal_t *hal, uint16_t copy)
-{
-    return (head_of(hal, copy) == FORMAT_1_HEAD) ? layout_1(hal, copy) : read_word(hal, copy, WORD_LAYOUT);
-}
-
-/* True if the numbers of this layout are those of the present one, without the fault OSCILLATION. */
-static bool lacks_oscillation(uint32_t layout)
-{
-    return STORED_LAYOUT == LAYOUT_26_FAULTS && layout == LAYOUT_25_FAULTS;
-}
-
 static bool has_layout(hal_t *hal, uint16_t copy)
 {
-    const uint32_t layout = layout_of(hal, copy);
-    return (layout == STORED_LAYOUT || lacks_oscillation(layout)) &&
-           read_word(hal, copy, WORD_LENGTH) == head_of(hal, copy) + STORED_NUMBERS + 1U;
+    return read_word(hal, copy, WORD_LAYOUT) == STORED_LAYOUT && read_word(hal, copy, WORD_LENGTH) == STORED_WORDS;
 }
 
 stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *values, uint32_t *sequence)
@@ -143,34 +102,19 @@ stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *val
     if (!has_layout(hal, copy)) {
         return STORED_COPY_OTHER_LAYOUT;
     }
-    const uint16_t head = head_of(hal, copy);
     for (uint16_t i = 0; i < STORED_NUMBERS; i++) {
         const number_t number = number_at(values, i);
-        if (!number_accepts(&number.range, (int32_t)read_word(hal, copy, (uint16_t)(head + i)))) {
+        if (!number_accepts(&number.range, (int32_t)read_word(hal, copy, (uint16_t)(STORED_HEAD + i)))) {
             return STORED_COPY_OUT_OF_RANGE;
         }
     }
     return STORED_COPY_INTACT;
 }
 
-/* A set without the fault OSCILLATION must not disable it. */
-static void enable_oscillation(const stored_values_t *values, uint32_t layout)
-{
-    if (!lacks_oscillation(layout)) {
-        return;
-    }
-    parameter_block_t *parameter = (parameter_block_t *)(void *)(values->memory + values->parameter);
-    for (uint16_t i = 0; i < HAL_AXES; i++) {
-        parameter->faults_enabled[i] |= FAULT_OSCILLATION;
-    }
-}
-
 void stored_load(hal_t *hal, uint16_t copy, const stored_values_t *values)
 {
-    const uint16_t head = head_of(hal, copy);
     for (uint16_t i = 0; i < STORED_NUMBERS; i++) {
         const number_t number = number_at(values, i);
-        number_set(number.at, number.range.kind, (int32_t)read_word(hal, copy, (uint16_t)(head + i)));
+        number_set(number.at, number.range.kind, (int32_t)read_word(hal, copy, (uint16_t)(STORED_HEAD + i)));
     }
-    enable_oscillation(values, layout_of(hal, copy));
 }

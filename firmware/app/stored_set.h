@@ -9,8 +9,7 @@
  *      checksum: CRC-32 of all words before
  *
  * Each 16-bit number has its own word, because words are programmed one by one. The checksum is written last: a set is
- * complete or invalid. A set of the firmware before the fault OSCILLATION is read, too, and one of the last firmware with
- * format 1; the next save replaces it.
+ * complete or invalid.
  */
 #ifndef SERVO_APP_STORED_SET_H
 #define SERVO_APP_STORED_SET_H

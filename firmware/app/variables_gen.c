@@ -63,7 +63,7 @@ CHECK(43, SIZE(measurement_status.ended) == 2);
 CHECK(44, SIZE(parameter.speed_limit) == 8);
 CHECK(45, SIZE(parameter.acceleration_limit) == 8);
 CHECK(46, SIZE(parameter.i_q_limit) == 4);
-CHECK(47, SIZE(parameter.features) == 4);
+CHECK(47, SIZE(parameter.features) == 8);
 CHECK(48, SIZE(parameter.position_min) == 8);
 CHECK(49, SIZE(parameter.position_max) == 8);
 CHECK(50, SIZE(parameter.following_error) == 8);
@@ -817,7 +817,7 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {1910, 1161, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
     {1928, 1161, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
     {1953, 1042, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1969, 1035, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1969, 1006, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
     {1984, 1140, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
     {2003, 1140, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
     {2022, 1140, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
@@ -1092,7 +1092,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(parameter.speed_limit), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(410139), INT32_C(1718483103)}}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(2051), INT32_C(102534791)}}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, {NUMBER_SIGNED, INT32_C(397), INT32_C(15888)}}, /* param.i_q_limit */
-    {OFFSET(parameter.features), 2, {0U, INT32_C(0), INT32_C(65535)}}, /* param.features */
+    {OFFSET(parameter.features), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(65535)}}, /* param.features */
     {OFFSET(parameter.position_min), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-954929659), INT32_C(954929659)}}, /* param.position_min */
     {OFFSET(parameter.position_max), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-954929659), INT32_C(954929659)}}, /* param.position_max */
     {OFFSET(parameter.following_error), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(6), INT32_C(636620)}}, /* param.following_error */

@@ -58,7 +58,7 @@ typedef struct {
     frac32_t speed_limit; /* default of param.speed_limit, Q1.31 of full-scale speed */
     frac32_t acceleration_limit; /* default of param.acceleration_limit, Q1.31 of full-scale speed per slow tick */
 
-    uint16_t features; /* FEATURE_ bits enabled after reset */
+    uint32_t features; /* FEATURE_ bits enabled after reset */
     int32_t position_limit; /* default of both soft limits, counts */
     int32_t following_error; /* default of param.following_error, counts */
     frac32_t over_speed; /* default of param.over_speed, Q1.31 of full-scale speed */

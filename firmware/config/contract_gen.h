@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x92D74CBA)
+#define CATALOGUE_HASH UINT32_C(0x33EC116C)
 
 #define POSITION_PER_TURN 4000 /* position counts */
 
@@ -217,22 +217,22 @@ typedef enum {
 #define INPUT_ENABLE UINT16_C(0x0008) /* the enable input is closed */
 #define INPUT_BRAKE_OPEN UINT16_C(0x0010) /* the holding brake is open */
 
-#define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
-#define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed decays while there is no encoder edge (DRM 2.4.6) */
-#define FEATURE_BUS_COMPENSATION UINT16_C(0x0004) /* duty cycles compensate the ripple of the DC bus */
-#define FEATURE_DEAD_TIME UINT16_C(0x0008) /* compensation of dead time and switch drops */
-#define FEATURE_FRICTION UINT16_C(0x0010) /* feed-forward of the current against Coulomb and viscous friction */
-#define FEATURE_SPEED_FORWARD UINT16_C(0x0020) /* feed-forward of the speed of the shaped set-point */
-#define FEATURE_ACCELERATION_FORWARD UINT16_C(0x0040) /* feed-forward of the current for the acceleration of the set-point */
-#define FEATURE_POSITION_LIMITS UINT16_C(0x0080) /* soft limits param.position_min and param.position_max */
-#define FEATURE_FOLLOWING_ERROR UINT16_C(0x0100) /* fault if the position is too far from its shaped set-point */
-#define FEATURE_OVER_SPEED UINT16_C(0x0200) /* fault if the speed is above param.over_speed */
-#define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
-#define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* fault ANGLE_MISMATCH if the observed back-EMF contradicts encoder angle and speed */
-#define FEATURE_STARVED UINT16_C(0x1000) /* fault HOST_SILENT if the points of a trajectory run out in motion */
-#define FEATURE_WINDING_MODEL UINT16_C(0x2000) /* current limit reduced with the estimated winding temperature, and a fault above its maximum */
-#define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* field weakening (negative i_d) at speeds that the bus voltage does not permit otherwise */
-#define FEATURE_HOMING UINT16_C(0x8000) /* until the position is known or assumed, the shaft stays near the position at which it was enabled, and soft limits are not applied */
+#define FEATURE_ANTI_WINDUP UINT32_C(0x00000001) /* back-calculation in the speed controller (DRM E35) */
+#define FEATURE_ENHANCED_MT UINT32_C(0x00000002) /* speed decays while there is no encoder edge (DRM 2.4.6) */
+#define FEATURE_BUS_COMPENSATION UINT32_C(0x00000004) /* duty cycles compensate the ripple of the DC bus */
+#define FEATURE_DEAD_TIME UINT32_C(0x00000008) /* compensation of dead time and switch drops */
+#define FEATURE_FRICTION UINT32_C(0x00000010) /* feed-forward of the current against Coulomb and viscous friction */
+#define FEATURE_SPEED_FORWARD UINT32_C(0x00000020) /* feed-forward of the speed of the shaped set-point */
+#define FEATURE_ACCELERATION_FORWARD UINT32_C(0x00000040) /* feed-forward of the current for the acceleration of the set-point */
+#define FEATURE_POSITION_LIMITS UINT32_C(0x00000080) /* soft limits param.position_min and param.position_max */
+#define FEATURE_FOLLOWING_ERROR UINT32_C(0x00000100) /* fault if the position is too far from its shaped set-point */
+#define FEATURE_OVER_SPEED UINT32_C(0x00000200) /* fault if the speed is above param.over_speed */
+#define FEATURE_SPEED_OBSERVER UINT32_C(0x00000400) /* speed from position and current by an observer, instead of the M/T method */
+#define FEATURE_ANGLE_CHECK UINT32_C(0x00000800) /* fault ANGLE_MISMATCH if the observed back-EMF contradicts encoder angle and speed */
+#define FEATURE_STARVED UINT32_C(0x00001000) /* fault HOST_SILENT if the points of a trajectory run out in motion */
+#define FEATURE_WINDING_MODEL UINT32_C(0x00002000) /* current limit reduced with the estimated winding temperature, and a fault above its maximum */
+#define FEATURE_FIELD_WEAKENING UINT32_C(0x00004000) /* field weakening (negative i_d) at speeds that the bus voltage does not permit otherwise */
+#define FEATURE_HOMING UINT32_C(0x00008000) /* until the position is known or assumed, the shaft stays near the position at which it was enabled, and soft limits are not applied */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2

@@ -8,13 +8,13 @@
 typedef struct {
     frac32_t speed_limit[HAL_AXES]; /* [2.438e-07 rad/s] limit of speed set-points and of position moves; a higher one takes effect with the next set-point */
     frac32_t acceleration_limit[HAL_AXES]; /* [0.0004876 rad/s^2] limit of the acceleration of position moves, speed ramps and stops; a new one takes effect with the next set-point or stop */
+    uint32_t features[HAL_AXES]; /* FEATURE_ bits: switchable parts of the control; the default after reset is in the configuration */
     int32_t position_min[HAL_AXES]; /* [0.001571 rad] lower soft limit of the position, in force with the feature POSITION_LIMITS */
     int32_t position_max[HAL_AXES]; /* [0.001571 rad] upper soft limit of the position, in force with the feature POSITION_LIMITS */
     int32_t following_error[HAL_AXES]; /* [0.001571 rad] largest distance from the shaped set-point, in addition to the lag at constant speed; beyond it a fault with the feature FOLLOWING_ERROR */
     frac32_t over_speed[HAL_AXES]; /* [2.438e-07 rad/s] largest speed; above it a fault with the feature OVER_SPEED */
     uint32_t faults_enabled[HAL_AXES]; /* FAULT_ bits: faults that may stop the axis; those that protect the hardware, or abort a sequence that cannot continue, are always enabled */
     frac16_t i_q_limit[HAL_AXES]; /* [0.0002518 A] limit of i_q in motion; a higher one takes effect with the next set-point or stop; the rotor search has a separate limit (rotor_search.current in servo.toml) */
-    uint16_t features[HAL_AXES]; /* FEATURE_ bits: switchable parts of the control; the default after reset is in the configuration */
     uint16_t feedback[HAL_AXES]; /* feedback_kind_t: source of angle and speed of an axis; takes effect outside of RUN */
     uint16_t on_disable[HAL_AXES]; /* stop_category_t: how an axis comes to rest when cmd.enable is withdrawn */
     uint16_t on_quick_stop[HAL_AXES]; /* stop_category_t: how an axis comes to rest on cmd.quick_stop; all categories except HOLD disable it */
@@ -29,13 +29,13 @@ typedef struct {
 typedef struct {
     frac32_t speed_limit;
     frac32_t acceleration_limit;
+    uint32_t features;
     int32_t position_min;
     int32_t position_max;
     int32_t following_error;
     frac32_t over_speed;
     uint32_t faults_enabled;
     frac16_t i_q_limit;
-    uint16_t features;
     uint16_t feedback;
     uint16_t on_disable;
     uint16_t on_quick_stop;

@@ -40,7 +40,7 @@ typedef struct {
     bool spins; /* current control in SPIN, follows set-points */
     bool shorted; /* READY: windings shorted, because the shaft seems to be at rest */
     bool sensorless; /* feedback is the observer */
-    uint16_t features; /* FEATURE_ bits */
+    uint32_t features; /* FEATURE_ bits */
 
     /* measurements */
     uint16_t temperature; /* ADC code of the heat sink sensor */
@@ -72,7 +72,7 @@ typedef struct {
 
 /* Shaft in SPIN, after the controllers. */
 typedef struct {
-    uint16_t features; /* FEATURE_ bits */
+    uint32_t features; /* FEATURE_ bits */
     frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
     frac32_t speed_limit; /* Q1.31 of full-scale speed */
     frac32_t over_speed_max; /* Q1.31 of full-scale speed; a higher speed is a fault */

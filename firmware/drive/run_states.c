@@ -37,7 +37,7 @@ static void measure(axis_t *axis)
 }
 
 /* Dead time is compensated with FEATURE_DEAD_TIME, and always on a sensorless axis, because the observer requires it. */
-static void choose_dead_time(axis_t *axis, uint16_t features)
+static void choose_dead_time(axis_t *axis, uint32_t features)
 {
     axis->current_loop.dead_time_off = (features & FEATURE_DEAD_TIME) == 0U && !axis->sensorless;
 }
@@ -611,7 +611,7 @@ static void test_estimate(axis_t *axis)
 static void test_check(axis_t *axis)
 {
     const shaft_observation_t seen = {
-        .features = (uint16_t)(axis->parameter.features & FEATURE_OVER_SPEED),
+        .features = axis->parameter.features & FEATURE_OVER_SPEED,
         .speed = axis->feedback.speed,
         .speed_limit = axis->limits.speed,
         .over_speed_max = axis->parameter.over_speed,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -31,7 +30,6 @@ SECTOR: Final = 256
 ROOM: Final = 2 * SECTOR  # of a copy
 HEAD: Final = 4
 FORMAT: Final = 0x32535653
-FORMAT_1: Final = 0x31535653
 VALUES: Final = sum(v.count for v in PARAMETERS)
 SEAL: Final = HEAD + VALUES + 2 * len(TABLE)
 COMMANDS: Final = 2 + SEAL + 1  # of a save: two sectors, every word
@@ -363,7 +361,7 @@ def test_random_contents_are_never_accepted_as_a_set(core: Core, data: st.DataOb
     for place, word in data.draw(st.dictionaries(st.integers(0, 2 * ROOM - 1), st.integers(0, 2**32 - 1))).items():
         words[place] = word
     if data.draw(st.booleans()):
-        words[0], words[1] = data.draw(st.sampled_from([FORMAT, FORMAT_1])), data.draw(st.integers(0, 2**32 - 1))
+        words[0], words[1] = FORMAT, data.draw(st.integers(0, 2**32 - 1))
     bench.start(words)
     built_in = StorageBench(core, erased()).values()
     assert (bench.source(), bench.values()) == ("BUILT_IN", built_in)
@@ -386,56 +384,6 @@ def test_a_set_of_another_firmware_is_reported_and_overwritten_last(core: Core, 
     assert bench.read_words("storage.sequence") == [3]
     bench.start(bench.flash)
     assert bench.source() == "COPY_A"
-
-
-def format_1() -> Words:
-    """A set of the last firmware with format 1, in copy A: changed were the speed limit and the position gains."""
-    words = erased()
-    text = Path(__file__).with_name("stored_set_format_1.txt").read_text("ascii")
-    saved = [int(word, 16) for word in text.split()]
-    words[: len(saved)] = saved
-    return words
-
-
-def before_oscillation() -> Words:
-    """The same set in the present format, with the layout before the fault OSCILLATION."""
-    words = np.delete(format_1(), HEAD)
-    words[0], words[1], words[3] = FORMAT, words[1] - 1, 0xBA26E999
-    words = np.append(words, words[-1])
-    seal(words, 0)
-    return words
-
-
-@pytest.mark.parametrize("older", [format_1, before_oscillation])
-def test_an_older_set_is_restored_and_saved_in_the_present_format(core: Core, older: Callable[[], Words]) -> None:
-    """Also with the fault OSCILLATION, which the older firmware did not have."""
-    built_in = StorageBench(core, erased()).values()
-    bench = StorageBench(core, older())
-    assert (bench.source(), bench.copies()) == ("COPY_A", ["INTACT", "EMPTY"])
-    restored = bench.values()
-    assert sum(new != old for new, old in zip(restored, built_in, strict=True)) == 3
-    assert bench.read_words("param.speed_limit") == [504471173, 504471173]  # 123 rad/s
-    assert [read_block(bench, axis)["position_gain"] for axis in range(2)] == [386558, 386540]
-    bench.to_stop()
-    bench.keep()
-    assert bench.flash[ROOM] == FORMAT
-    bench.start(bench.flash)
-    assert (bench.source(), bench.copies(), bench.values()) == ("COPY_B", ["INTACT", "INTACT"], restored)
-
-
-@pytest.mark.parametrize(
-    ("word", "state"), [(0, "DAMAGED"), (1, "OTHER_LAYOUT"), (3, "OTHER_LAYOUT"), (4, "OTHER_LAYOUT"), (-1, "DAMAGED")]
-)
-def test_another_set_of_format_1_is_not_restored(core: Core, word: int, state: str) -> None:
-    flash = format_1()
-    length = int(flash[1])
-    flash[word % length] -= 1
-    if word == 1:
-        flash[length - 2] = zlib.crc32(flash[: length - 2].tobytes())
-    elif state == "OTHER_LAYOUT":
-        seal(flash, 0)
-    bench = StorageBench(core, flash)
-    assert (bench.source(), bench.copies()) == ("BUILT_IN", [state, "EMPTY"])
 
 
 def test_a_value_out_of_range_in_the_flash_invalidates_its_set(core: Core) -> None:

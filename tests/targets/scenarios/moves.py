@@ -207,6 +207,7 @@ def trajectory(rig: Rig) -> None:
     for _ in range(4):  # some are received before the slow tick of the previous one
         rig.together(*[("cmd.points", encode_points(rig.catalogue, [one]))] * 2)
     rig.until("HOST_SILENT by an underrun of points", lambda: rig.faults(1) == ["HOST_SILENT"])
+    rig.run(0.002)  # until these are taken: a refusal as BUSY would depend on the instants of the bytes
     rig.points(point(0, 640, 0.1, replaces=True))
     rig.run(0.05)
     rig.points(point(0, 480, 0.3, 10.0))
