@@ -50,7 +50,7 @@ METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
 ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64-v3 .supported' && \
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
 # The compiled virtual boards, a stamp for each level. Objects of ../firmware are put beside the folder of objects: each has one of its own.
-BOARDS := $(VENV)/.ideal $(VENV)/.registers $(VENV)/.odrive36
+BOARDS := $(VENV)/.ideal $(VENV)/.registers $(VENV)/.odrive36 $(VENV)/.odrive36_ideal
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
 TESTS := test test-simulated test-realtime
@@ -287,6 +287,7 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 $(VENV)/.ideal: MODULE := ffi
 $(VENV)/.registers: MODULE := registers_ffi
 $(VENV)/.odrive36: MODULE := odrive36_ffi
+$(VENV)/.odrive36_ideal: MODULE := odrive36_ideal_ffi
 $(BOARDS): $(VENV)/.created $(NATIVE)
 	@echo "      compiling firmware and virtual board, level $(patsubst .%,%,$(@F))"
 	@cd servo_twin && SERVO_TWIN_MODULES=$(MODULE) SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet \

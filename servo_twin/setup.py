@@ -8,9 +8,9 @@ from setuptools import find_packages, setup
 PACKAGE = "servo_twin"
 SHARE = f"share/{PACKAGE}"
 
-# Levels of the virtual board that are compiled, as functions of the build script. `make` compiles each by itself, while
-# the packages are installed.
-MODULES = os.environ.get("SERVO_TWIN_MODULES", "ffi registers_ffi odrive36_ffi").split()
+# Boards and levels that are compiled, as functions of the build script. `make` compiles each by itself, while the
+# packages are installed.
+MODULES = os.environ.get("SERVO_TWIN_MODULES", "ffi registers_ffi odrive36_ffi odrive36_ideal_ffi").split()
 
 setup(
     name=PACKAGE,

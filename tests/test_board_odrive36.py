@@ -17,6 +17,8 @@ from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.text_file import read_toml
 from servo_twin._build_native import generated_for
 from servo_twin.board import Board, BoardError
+from servo_twin.fault_injection import HotPowerStage, StuckConverter
+from servo_twin.level import LEVELS, Level
 from servo_twin.plant import DEFAULT_FILE, PlantConfig, on_board
 from servo_twin.simulation import keep_set_points
 from targets.sources import ROOT
@@ -28,11 +30,9 @@ MS = 1_000_000
 ADC2_JSQR, TIM2_CCR3, TIM5_CNT = 0x4001_2138, 0x4000_003C, 0x4000_0C24
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
 
-pytestmark = pytest.mark.usefixtures("cortex_m4_tools")
-
 
 @pytest.fixture(scope="module")
-def elf(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def elf(cortex_m4_tools: None, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = tmp_path_factory.mktemp("odrive36")
     generated = generated_for("odrive36", folder / "generated")
     settings = ["BOARD=odrive36", f"GENERATED={generated}", f"BUILD={folder / 'build'}"]
@@ -40,11 +40,19 @@ def elf(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (folder / "build" / "servo.elf").read_bytes()
 
 
-def new_board(elf: bytes, flash: bytes | None = None, **changes: float) -> Board:
+def new_board(elf: bytes | None, flash: bytes | None = None, **changes: float) -> Board:
+    """At level registers with an ELF file, else at level ideal."""
     plant = PlantConfig.parse(on_board(read_toml(DEFAULT_FILE), ODRIVE))
     for axis in (0, 1):
         plant = plant.with_axis(axis, **changes)
-    return Board(plant, seed=3, level="registers", catalogue=Catalogue.load(board=ODRIVE), elf=elf, flash=flash)
+    level: Level = "registers" if elf else "ideal"
+    return Board(plant, seed=3, level=level, catalogue=Catalogue.load(board=ODRIVE), elf=elf, flash=flash)
+
+
+@pytest.fixture(params=LEVELS)
+def software(request: pytest.FixtureRequest) -> bytes | None:
+    """ELF file of level registers; None: level ideal."""
+    return request.getfixturevalue("elf") if request.param == "registers" else None
 
 
 @pytest.fixture
@@ -72,9 +80,13 @@ def test_serial_line_answers(board: Board) -> None:
     assert len(answer[1:].replace(b"++", b"+")) == 10  # a start byte within the data is sent twice
 
 
-def test_both_axes_move(board: Board) -> None:
+def test_both_axes_move(software: bytes | None) -> None:
     """From the reset vector: gate drivers, rotor search, position; currents by two shunts; nothing is late."""
-    enabled(board)
+    with enabled(new_board(software)) as board:
+        _move_both(board)
+
+
+def _move_both(board: Board) -> None:
     before = [board.truth(axis).theta_m for axis in (0, 1)]
     board.write("cmd.position", [3.0, -2.0])
     board.advance(1000 * MS)
@@ -85,26 +97,37 @@ def test_both_axes_move(board: Board) -> None:
     assert board.read("u_dc") == pytest.approx(24.0, abs=0.05)
 
 
-def test_an_over_current_is_latched_in_the_gate_driver(elf: bytes) -> None:
-    """The driver opens its own gates; by the common line the firmware opens the other inverter, too."""
-    with new_board(elf, i_break=1.0) as board:
-        enabled(board)
+def faults(board: Board) -> list[list[str]]:
+    read = (board.read_words(f"axis{k}.faults")[0] for k in (1, 2))
+    return [[flag.name for flag in board.catalogue.active("faults", word)] for word in read]
+
+
+def test_an_over_current_is_latched_in_the_gate_driver(software: bytes | None) -> None:
+    """The driver of motor 1 opens its own gates; by the common line the other inverter opens, too."""
+    with enabled(new_board(software)) as board:
+        board.set_plant("axis1.i_break", 0.3)
+        board.write("cmd.position", [3.0, 0.0])
+        board.run(0.05)
         assert board.stats().breaks > 0
-        assert all(board.read(f"axis{k}.faults") for k in (1, 2))
+        assert faults(board) == [["OVER_CURRENT"]] * 2
         assert all(abs(board.truth(axis).i_q) < 1e-6 for axis in (0, 1))
 
 
-def test_state_continues_with_the_same_bits(board: Board) -> None:
-    enabled(board)
-    for instant in (561_234_560, 561_265_870):
-        board.advance(instant)
-        state = board.state()
-        with board.copy() as copy:
-            copy.advance(570 * MS)
-            ends = copy.state().image
-        board.advance(570 * MS)
-        assert board.state().image == ends
-        board.restore(state)
+def test_the_port_limits_the_current_beyond_the_gate_drivers(software: bytes | None) -> None:
+    """A sample of more than 30 A: the switches of this axis open."""
+    with enabled(new_board(software, i_break=1e3)) as board:
+        board.inject(StuckConverter(0, "b", 2048 + 1520))
+        board.run(0.002)
+        assert faults(board) == [["OVER_CURRENT"], []]
+
+
+@pytest.mark.parametrize(("celsius", "expected"), [(84.0, []), (86.0, ["OVER_TEMPERATURE"])])
+def test_the_thermistors(software: bytes | None, celsius: float, expected: list[str]) -> None:
+    """The limit of the configuration is 85 deg C."""
+    with new_board(software) as board:
+        board.inject(HotPowerStage(0, celsius))
+        board.run(0.1)
+        assert faults(board) == [expected, []]
 
 
 @pytest.mark.parametrize("function", ["hal_adc_currents", "hal_pwm_duty", "adc_take_m2"])
@@ -141,7 +164,7 @@ def test_a_wrong_converter_input_is_a_fault(elf: bytes) -> None:
 
 
 def test_the_board_needs_its_program() -> None:
-    with pytest.raises(BoardError, match="ELF file"):
+    with pytest.raises(BoardError, match=r"ELF file .* or level ideal"):
         Board(level="registers", catalogue=Catalogue.load(board=ODRIVE))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.catalogue import AXIS_NAMES, Catalogue
 from servo_msgs_py.text_file import TextFileError, parse_toml, read_toml
 
@@ -14,8 +15,17 @@ from servo_tuning.configuration import Axis, Board, Configuration, Scales
 from servo_tuning.errors import ConfigError, checking
 from servo_tuning.schema import unknown_name
 
-SERVO_TOML: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
-"""File of the checkout; missing in an installed package."""
+_CONFIG: Final = Path(__file__).resolve().parents[2] / "firmware" / "config"
+
+
+def _file_of(board: str) -> Path:
+    """Configuration of the checkout for a board: that of the default board if it has none of its own."""
+    own = _CONFIG / f"{board}.toml"
+    return own if own.is_file() else _CONFIG / "servo.toml"
+
+
+SERVO_TOML: Final = _file_of(BoardDescription.load().name)
+"""Configuration of the checkout for the board of this process; missing in an installed package."""
 
 
 def load(path: Path, catalogue: Catalogue) -> Configuration:

@@ -2,17 +2,35 @@
 
 #include <string.h>
 
+#include "board_clock.h"
 #include "plant/inline.h"
 
 #define WATCHDOG_NS UINT64_C(50000000)
 #define DUTY_FULL (1.0 / 32767.0)
+#define TWO_SHUNTS (BOARD_SHUNTS == 2UL)
+#define DUTY_MAX_SAMPLED (1.0 - (double)BOARD_LOW_SIDE_NS / (double)BOARD_PWM_PERIOD_NS)
+#define MIDDLE 2048
+
+#if defined(BOARD_ODRIVE36)
+#define COMMON_FAULT true /* one line of the gate drivers reports the over-current of either axis */
+#define CONTACTS (1u << BOARD_PIN_HOME | 1u << BOARD_PIN_ENABLE) /* with a pin; the others read as open */
+#else
+#define COMMON_FAULT false
+#define CONTACTS (1u << BOARD_PIN_HOME | 1u << BOARD_PIN_LIMIT_MIN | 1u << BOARD_PIN_LIMIT_MAX | 1u << BOARD_PIN_ENABLE)
+#endif
+
+typedef char check_time_stamps_have_the_clock_of_the_board
+    [(BOARD_CLOCK_MHZ * 1000000UL == BOARD_STAMP_CLOCKS * BOARD_TIMER_CLOCK_HZ) ? 1 : -1];
 
 static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
 
+#define PAIR_AT_RESET (TWO_SHUNTS ? PHASE_PAIR_BC : PHASE_PAIR_AB)
+
 static const chip_axis_t at_reset = {
     .written = true,
-    .currents = {2048, 2048},
-    .offsets = {.phase = pair_phases[PHASE_PAIR_AB]},
+    .pair = PAIR_AT_RESET,
+    .currents = {MIDDLE, MIDDLE},
+    .offsets = {.phase = pair_phases[PAIR_AT_RESET]},
 };
 
 void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo, const servo_config_t *servo_config)
@@ -55,7 +73,7 @@ static double seconds(const hal_t *chip) { return 1e-9 * (double)chip->now_ns; }
 
 static unsigned closed_contacts(const hal_t *chip, int i)
 {
-    return plant_pins_closed(&chip->plant.axis[i].pins, chip->plant.axis[i].motor.theta);
+    return CONTACTS & plant_pins_closed(&chip->plant.axis[i].pins, chip->plant.axis[i].motor.theta);
 }
 
 /* An open enable circuit opens the switches without software. */
@@ -73,17 +91,36 @@ void chip_cut_wire(hal_t *chip, int axis, int pin, bool cut)
     check_enable(chip, axis);
 }
 
-/* The comparator opens the switches without software. */
-static bool check_current(hal_t *chip, int i)
+static bool trip(hal_t *chip, int i, bool over_current)
 {
     chip_axis_t *axis = &chip->axis[i];
-    if (axis->tripped || !plant_over_current(&chip->plant, i)) {
+    if (axis->tripped || !over_current) {
         return false;
     }
     axis->tripped = true;
     chip->breaks++;
     follow_enable(chip, i);
     return true;
+}
+
+/* The comparator opens the switches without software. */
+static bool check_current(hal_t *chip, int i)
+{
+    const bool own = plant_over_current(&chip->plant, i);
+    return trip(chip, i, own || (COMMON_FAULT && plant_over_current(&chip->plant, 1 - i)));
+}
+
+static bool beyond(int32_t codes)
+{
+    return codes > (int32_t)BOARD_OVER_CURRENT_CODES || codes < -(int32_t)BOARD_OVER_CURRENT_CODES;
+}
+
+/* The limit that a port without a comparator applies to the samples. */
+static bool check_samples(hal_t *chip, int i)
+{
+    const int32_t first = (int32_t)chip->axis[i].currents.first - MIDDLE;
+    const int32_t second = (int32_t)chip->axis[i].currents.second - MIDDLE;
+    return BOARD_OVER_CURRENT_CODES > 0UL && trip(chip, i, beyond(first) || beyond(second) || beyond(first + second));
 }
 
 PLANT_INLINE void sample(hal_t *chip, int i, bool low_side_centre, plant_samples_t *samples)
@@ -159,6 +196,9 @@ static void half_cycle(hal_t *chip, int sampled)
     watch_dog(chip);
     if (awake(chip)) {
         chip->left_out = 0;
+        if (check_samples(chip, sampled)) {
+            servo_over_current_isr(chip->servo, (uint16_t)sampled);
+        }
         if (sampled == 0) {
             servo_m1_isr(chip->servo);
         } else {
@@ -242,6 +282,9 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
     for (int k = 0; k < 3; k++) {
         const double duty = raw[k] * DUTY_FULL;
         written->duty[k] = (duty > 0.0) ? duty : 0.0;
+        if (TWO_SHUNTS && k > 0 && duty > DUTY_MAX_SAMPLED) { /* phases b and c */
+            written->duty[k] = DUTY_MAX_SAMPLED;
+        }
     }
     written->written = true;
 }

@@ -1,8 +1,9 @@
-"""Build script of both levels of the virtual board: an extension module of firmware, chip and plant for each level.
+"""Build script of the virtual boards: an extension module of firmware, chip and plant for each board and level.
 
 ``servo_twin._native`` has the ideal chip and the averaged plant, ``servo_twin._registers`` the registers of the
-MC56F84789, the drivers of the firmware and the switching plant. Both have the interface of ``board.h``. ``setup.py``
-lists them in ``cffi_modules``, so that setuptools compiles them for pip and colcon.
+MC56F84789, the drivers of the firmware and the switching plant; ``servo_twin._odrive36_ideal`` and
+``servo_twin._odrive36`` are those of another board. All have the interface of ``board.h``. ``setup.py`` lists them in
+``cffi_modules``, so that setuptools compiles them for pip and colcon.
 """
 
 from __future__ import annotations
@@ -194,27 +195,38 @@ def generated_for(board: str, folder: Path) -> Path:
 _ODRIVE36 = NATIVE / "boards" / "odrive36"
 
 
+def _make_odrive36(
+    module: str,
+    native: Sequence[Path],
+    options: Sequence[str] = (),
+    include: Sequence[Path] = (),
+    link: Sequence[str] = (),
+) -> FFI:
+    """Build description of a module of the board ODrive v3.6, with its generated files."""
+    generated = generated_for("odrive36", PACKAGE / "build" / "generated" / module)
+    others = sorted(generated.rglob("*.c"))
+    replaced = {FIRMWARE / path.relative_to(generated) for path in others}
+    sources = [*(path for path in firmware_sources() if path not in replaced), *others]
+    return make_ffi(module, native, ["-DBOARD_ODRIVE36", *options], sources, [generated, *include], link)
+
+
 def odrive36_ffi() -> FFI:
-    """``servo_twin._odrive36``: the board ODrive v3.6, whose software is a program.
+    """``servo_twin._odrive36``: the registers of an STM32F405, whose software is a program.
 
     The firmware is compiled for its tables; the linker leaves out its functions, which need drivers.
     """
-    generated = generated_for("odrive36", PACKAGE / "build" / "generated" / "odrive36")
-    others = sorted(generated.rglob("*.c"))
-    replaced = {FIRMWARE / path.relative_to(generated) for path in others}
     files = [
         *(NATIVE / "board_registers.c", NATIVE / "program.c", NATIVE / "serial_line.c", _ODRIVE36 / "board_chip.c"),
         *(NATIVE / "chip" / name for name in ("bus.c", "names.c")),
         *(path for folder in ("arm", "stm32f405") for path in sorted((NATIVE / folder).glob("*.c"))),
     ]
-    return make_ffi(
-        "servo_twin._odrive36",
-        files,
-        ["-DBOARD_ODRIVE36", "-ffunction-sections", "-fdata-sections"],
-        [*(path for path in firmware_sources() if path not in replaced), *others],
-        [generated, _ODRIVE36],
-        ["-Wl,--gc-sections"],
-    )
+    sections = ["-ffunction-sections", "-fdata-sections"]
+    return _make_odrive36("servo_twin._odrive36", files, sections, [_ODRIVE36], ["-Wl,--gc-sections"])
+
+
+def odrive36_ideal_ffi() -> FFI:
+    """``servo_twin._odrive36_ideal``."""
+    return _make_odrive36("servo_twin._odrive36_ideal", IDEAL)
 
 
 def ffi() -> FFI:

@@ -24,7 +24,7 @@ from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.board_description import DEFAULT_BOARD
+from servo_msgs_py.board_description import DEFAULT_BOARD, BoardDescription
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import SLOW_PERIODS, TICK, TICK_NS
@@ -38,15 +38,6 @@ from servo_twin.level import Level, chosen_level
 from servo_twin.plant import FIXED_NAMES, PlantConfig, PlantError
 from servo_twin.servo_config import ServoConfig
 from servo_twin.truth import Truth
-
-try:
-    import servo_twin._native as _ideal_module
-    import servo_twin._registers as _registers_module
-except ImportError as error:
-    raise ImportError(
-        f"the compiled part of servo_twin is missing or does not fit this Python ({error}); "
-        "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
-    ) from error
 
 __all__ = [
     "Board",
@@ -72,53 +63,62 @@ class Firmware(NamedTuple):
         return hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
 
 
-FIRMWARE: Final[Mapping[str, Firmware]] = {
-    "registers": Firmware(_registers_module.ffi, _registers_module.lib, _registers_module.__file__),
-    "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib, _ideal_module.__file__),
+_MODULES: Final[Mapping[str, Mapping[Level, str]]] = {
+    DEFAULT_BOARD: {"registers": "servo_twin._registers", "ideal": "servo_twin._native"},
+    "odrive36": {"registers": "servo_twin._odrive36", "ideal": "servo_twin._odrive36_ideal"},
 }
-"""Build of this checkout by level, for the default board."""
+"""Compiled modules by board and level."""
 
-_OTHER_BOARDS: Final = {"odrive36": "servo_twin._odrive36"}
-"""Compiled modules of other boards: at level registers, with the firmware of an ELF file."""
+_LINKED: Final = frozenset({DEFAULT_BOARD})
+"""Boards whose firmware is linked with the model at level registers; others execute an ELF file there."""
 
 
 @cache
-def _build_of(board: str, level: Level) -> Firmware:
-    if board == DEFAULT_BOARD:
-        return FIRMWARE[level]
-    if board not in _OTHER_BOARDS:
-        raise BoardError(
-            f"there is no firmware and no model of the board {board} yet; "
-            f"known are {', '.join((DEFAULT_BOARD, *_OTHER_BOARDS))}"
-        )
-    if level != "registers":
-        raise BoardError(f"the board {board} has a model at level registers only")
-    module = importlib.import_module(_OTHER_BOARDS[board])
+def build_of(board: str, level: Level) -> Firmware:
+    """Build of this checkout for a board and level.
+
+    Raises
+    ------
+    BoardError
+        If there is no model of this board.
+    ImportError
+        If it has not been compiled for this Python.
+    """
+    if board not in _MODULES:
+        raise BoardError(f"there is no firmware and no model of the board {board} yet; known are {', '.join(_MODULES)}")
+    try:
+        module = importlib.import_module(_MODULES[board][level])
+    except ImportError as error:
+        raise ImportError(
+            f"the compiled part of servo_twin is missing or does not fit this Python ({error}); "
+            "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
+        ) from error
     return Firmware(module.ffi, module.lib, str(module.__file__))
 
 
 def flash_bytes(board: str = DEFAULT_BOARD) -> int:
     """Size of `Board.flash_image`."""
-    return int(_build_of(board, "registers").lib.board_flash_size())
+    return int(build_of(board, "ideal").lib.board_flash_size())
 
 
 def firmware_of(path: Path) -> Firmware:
-    """Another build at level ideal.
+    """Another build for the board of this process, at level ideal.
 
     Parameters
     ----------
     path : Path
-        Its compiled module ``_native*.so``, or the folder of the checkout with it.
+        Its compiled module (``_native*.so`` of the default board), or the folder of the checkout with it.
 
     Raises
     ------
     BoardError
         If there is no such module, or it does not fit this Python.
     """
-    found = sorted(path.glob("servo_twin/servo_twin/_native*.so")) if path.is_dir() else [path]
+    name = _MODULES[BoardDescription.load().name]["ideal"].rpartition(".")[2]
+    found = sorted(path.glob(f"servo_twin/servo_twin/{name}.*so")) if path.is_dir() else [path]
     if not found:
         raise BoardError(f"{path} contains no compiled virtual board; run `make build` there")
-    spec = importlib.util.spec_from_file_location("_native", found[0])
+    spec = importlib.util.spec_from_file_location(name, found[0])
     try:
         if spec is None or spec.loader is None:
             raise ImportError("the name must end with .so")
@@ -231,11 +231,11 @@ class Board:
         self.level = chosen_level(level)
         self.catalogue = catalogue or Catalogue.load()
         board = self.catalogue.board.name
-        self.firmware = firmware or _build_of(board, self.level)
-        if elf is None and board != DEFAULT_BOARD:
+        self.firmware = firmware or build_of(board, self.level)
+        if elf is None and self.level == "registers" and board not in _LINKED:
             raise BoardError(
-                f"no firmware is linked with the model of the board {board}: "
-                f"give its ELF file (make firmware BOARD={board})"
+                f"no firmware is linked with the model of the board {board} at level registers: "
+                f"give its ELF file (make firmware BOARD={board}), or level ideal"
             )
         if elf is not None and self.level != "registers":
             raise ValueError("an ELF file runs at level registers only")

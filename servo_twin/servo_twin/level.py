@@ -18,7 +18,7 @@ DEFAULT_LEVEL: Final[Level] = "registers"
 FAST_LEVEL: Final[Level] = "ideal"
 """Default level of experiments, which simulate minutes and hours."""
 
-_LEVELS: Final[tuple[Level, ...]] = get_args(Level)
+LEVELS: Final[tuple[Level, ...]] = get_args(Level)
 
 
 def chosen_level(level: Level | None = None, default: Level = DEFAULT_LEVEL) -> Level:
@@ -30,14 +30,14 @@ def chosen_level(level: Level | None = None, default: Level = DEFAULT_LEVEL) -> 
         If the level does not exist.
     """
     name = level or os.environ.get(LEVEL_VARIABLE, default)
-    for known in _LEVELS:
+    for known in LEVELS:
         if name == known:
             return known
-    raise ValueError(f"level {name!r} does not exist; levels: {', '.join(_LEVELS)}")
+    raise ValueError(f"level {name!r} does not exist; levels: {', '.join(LEVELS)}")
 
 
 def add_level_option(parser: argparse.ArgumentParser, what: str, default: str = DEFAULT_LEVEL) -> None:
     """Add ``--level``; `what` is the start of its help text, as in "the board is", `default` its end."""
     parser.add_argument(
-        "--level", choices=_LEVELS, help=f"level at which {what} modelled (default: ${LEVEL_VARIABLE}, or {default})"
+        "--level", choices=LEVELS, help=f"level at which {what} modelled (default: ${LEVEL_VARIABLE}, or {default})"
     )

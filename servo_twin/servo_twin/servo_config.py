@@ -10,12 +10,12 @@ from typing import Any
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.text_file import TextFileError, read_toml
 from servo_tuning.braking import brake_constants
 from servo_tuning.configuration import Configuration
 from servo_tuning.constants import time_outs
+from servo_tuning.errors import ConfigError
 from servo_tuning.passwords import password_hashes
-from servo_tuning.reading import SERVO_TOML, parse
+from servo_tuning.reading import SERVO_TOML, parse, read_table
 from servo_tuning.tuned import tuned
 
 from servo_twin.board_memory import SimulationError
@@ -73,6 +73,6 @@ def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
     if not path.is_file():
         raise SimulationError(f"no such file: {path}")
     try:
-        return read_toml(path)
-    except TextFileError as error:
+        return read_table(path)
+    except ConfigError as error:
         raise SimulationError(f"{path}: {error}") from None

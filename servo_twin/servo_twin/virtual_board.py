@@ -378,7 +378,8 @@ def _parser() -> argparse.ArgumentParser:
         "pseudo-terminal), in real time. Stop it with Ctrl-C.",
         epilog="Exit status: 0 stopped by SIGINT, SIGTERM or SIGHUP, 1 operating system error, 2 wrong options, "
         "link or plant file. Example: virtual_board --link /tmp/servo --baud 1000000. The environment variable "
-        f"{VARIABLE} selects the board: {', '.join(known_boards())}; all but {DEFAULT_BOARD} need --elf.",
+        f"{VARIABLE} selects the board: {', '.join(known_boards())}; all but {DEFAULT_BOARD} need --elf or "
+        "--level ideal.",
     )
     parser.add_argument(
         "--link", type=Path, help="symbolic link to the port, as a fixed name; LINK.json then says what the board is"

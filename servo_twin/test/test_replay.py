@@ -11,10 +11,11 @@ from typing import Any
 
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.board_description import DEFAULT_BOARD
 from servo_msgs_py.run_file.reader import RunReader
 from servo_msgs_py.run_file.run_info import RunInfo
 from servo_tuning.reading import SERVO_TOML
-from servo_twin.board import FIRMWARE, Board
+from servo_twin.board import Board, build_of
 from servo_twin.diagnosis.board_pair import Motion
 from servo_twin.plant import PlantConfig
 from servo_twin.runs.command import main
@@ -262,7 +263,8 @@ def test_another_build_is_taken_from_its_checkout(
     checkout = Path(servo_twin.__file__).parents[2]
     assert replay(equal, capsys, "--firmware", str(checkout), status=0)["other_build"] == ""
     other = tmp_path / "_native.so"
-    other.write_bytes(Path(FIRMWARE["ideal"].file).read_bytes() + b"other")  # the same code with another hash
+    own = Path(build_of(DEFAULT_BOARD, "ideal").file).read_bytes()
+    other.write_bytes(own + b"other")  # the same code with another hash
     result = replay(equal, capsys, "--firmware", str(other), status=0)
     assert result["verdict"].startswith("another build; identical bit for bit")
     assert result["notes"][0] == result["other_build"]

@@ -24,12 +24,11 @@ from typing import Any, Final, get_args
 
 from bench.peer.environment import peers
 from bench.shares import shares
+from servo_msgs_py.board_description import DEFAULT_BOARD
 from servo_msgs_py.catalogue import AXES
-from servo_twin.board import Board
+from servo_twin.board import Board, build_of
 from servo_twin.level import Level
 from servo_twin.simulation import enable
-
-from servo_twin import _registers
 
 OUT: Final = Path(__file__).resolve().parents[2] / "out" / "bench" / "twin.json"
 AIMS: Final[dict[str, float]] = {"registers": 20.0, "ideal": 150.0}
@@ -142,7 +141,10 @@ def compiler(library: bytes) -> str:
 
 def measure(peer: bool, counted: bool) -> dict[str, Any]:
     """All figures, by level."""
-    result: dict[str, Any] = {"cores": os.cpu_count(), "compiler": compiler(Path(_registers.__file__).read_bytes())}
+    result: dict[str, Any] = {
+        "cores": os.cpu_count(),
+        "compiler": compiler(Path(build_of(DEFAULT_BOARD, "registers").file).read_bytes()),
+    }
     for level in get_args(Level):
         one = factors(level)
         many = {str(threads): asdict(run_in_parallel(level, threads)) for threads in THREADS}

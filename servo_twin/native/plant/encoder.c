@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "board_clock.h"
 #include "plant/inline.h"
 #include "plant/trig.h"
 
@@ -262,13 +263,13 @@ bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *tim
         return false;
     }
     *count = encoder->captured_count;
-    *time = (uint16_t)(encoder->captured_ns / PLANT_ENCODER_TICK_NS);
+    *time = (uint16_t)board_stamp(encoder->captured_ns);
     encoder->captured = false;
     return true;
 }
 
 uint32_t plant_encoder_age(const plant_encoder_t *encoder, uint64_t now_ns)
 {
-    const uint64_t ticks = now_ns / PLANT_ENCODER_TICK_NS - encoder->captured_ns / PLANT_ENCODER_TICK_NS;
-    return (ticks < AGE_OVERFLOW) ? (uint32_t)ticks : AGE_OVERFLOW;
+    const uint64_t age = board_stamp(now_ns) - board_stamp(encoder->captured_ns);
+    return (age < AGE_OVERFLOW) ? (uint32_t)age : AGE_OVERFLOW;
 }

@@ -18,8 +18,6 @@
 
 #include "board.h"
 
-#define PLANT_ENCODER_TICK_NS UINT64_C(1280) /* bus clock / 128 at 100 MHz: 781.25 kHz */
-
 typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
 
 /* An eccentric disc is at theta + a sin(theta + phase), a < 1, so the edges keep their order. */
@@ -99,10 +97,10 @@ void plant_encoder_start(plant_encoder_t *encoder, uint16_t period);
 /* Arm the capture of the next edge on B. */
 void plant_encoder_arm(plant_encoder_t *encoder);
 
-/* Read a captured edge: count, and time in ticks of PLANT_ENCODER_TICK_NS. True once per edge. */
+/* Read a captured edge: count, and time stamp (board_clock.h). True once per edge. */
 bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *time);
 
-/* TMRx3 in ticks, saturated at 0x10000. */
+/* TMRx3 in periods of the time stamp, saturated at 0x10000. */
 uint32_t plant_encoder_age(const plant_encoder_t *encoder, uint64_t now_ns);
 
 #endif

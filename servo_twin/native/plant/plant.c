@@ -273,10 +273,7 @@ uint16_t plant_bus_code(plant_t *plant)
     return plant_code(shown * plant->codes_per_volt);
 }
 
-uint16_t plant_sink_code(const plant_t *plant, int axis)
-{
-    return plant_code_unipolar(plant->axis[axis].sink.t, PLANT_SINK_FULL_SCALE);
-}
+uint16_t plant_sink_code(const plant_t *plant, int axis) { return plant_code_sink(plant->axis[axis].sink.t); }
 
 void plant_update_holding_brakes(plant_t *plant, double now)
 {

@@ -116,7 +116,7 @@ static inline void plant_sample_codes(const plant_t *plant, int axis, const plan
 /* Converter code of the bus divider at this instant. */
 uint16_t plant_bus_code(plant_t *plant);
 
-/* Converter code of a power stage's thermistor, linearised: 0 deg C at 0, PLANT_SINK_FULL_SCALE at 4096. */
+/* Converter code of the temperature sensor of a power stage. */
 uint16_t plant_sink_code(const plant_t *plant, int axis);
 
 /* Let the holding brakes follow their coils, at the time `now` [s]. */

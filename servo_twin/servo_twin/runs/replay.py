@@ -19,10 +19,10 @@ from servo_msgs_py.text_file import parse_toml
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
-from servo_twin.board import FIRMWARE, Board, Firmware, SimulationError
+from servo_twin.board import Board, Firmware, SimulationError, build_of
 from servo_twin.diagnosis.monitor import LocatedFinding
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
-from servo_twin.level import FAST_LEVEL, Level
+from servo_twin.level import FAST_LEVEL, LEVELS, Level
 from servo_twin.lockstep.blocks import TAKE, Blocks, checksums_of
 from servo_twin.lockstep.board_topics import BOARD_TOPICS
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
@@ -147,8 +147,13 @@ def _recorded_robot(recorded: VirtualBoard) -> tuple[RobotModel | None, str]:
 
 def _other_build(recorded: VirtualBoard, firmware: Firmware | None) -> str | None:
     """How a build differs from the recorded one; empty: it does not; None: not known."""
-    own = FIRMWARE.get(recorded.level) if firmware is None else firmware if recorded.level == FAST_LEVEL else None
-    if own is None or not recorded.build:
+    if not recorded.build or (firmware is not None and recorded.level != FAST_LEVEL):
+        return None
+    own = firmware
+    for level in LEVELS:
+        if firmware is None and level == recorded.level:
+            own = build_of(Catalogue.load().board.name, level)
+    if own is None:
         return None
     if recorded.build == (build := own.build):
         return ""

@@ -64,7 +64,7 @@ uint16_t board_convert(void *self, unsigned channel)
     case BUS:
         return switching_bus_code(&board->plant);
     case SINK:
-        return plant_code_unipolar(board->plant.axis[analog[channel].axis].sink.t, PLANT_SINK_FULL_SCALE);
+        return plant_code_sink(board->plant.axis[analog[channel].axis].sink.t);
     default:
         return 0;
     }

@@ -1,6 +1,4 @@
 /* The circuits of the board ODrive v3.6 around its STM32F405. */
-#include <math.h>
-
 #include "board_registers.h"
 #include "port/stm32f405/registers.h"
 
@@ -44,13 +42,6 @@ static uint16_t current_code(board_t *board, unsigned axis, unsigned phase)
     return (uint16_t)(MIDDLE + code * (int)drv8301_gain(drivers, axis) / (int)FULL_GAIN);
 }
 
-/* A thermistor of 10 kOhm and a beta of 3434 K from the supply, 3.3 kOhm to ground. */
-static uint16_t temperature_code(double celsius)
-{
-    const double resistance = 10e3 * exp(3434.0 * (1.0 / (celsius + 273.15) - 1.0 / 298.15));
-    return plant_code_unipolar(3.3e3 / (3.3e3 + resistance), 1.0);
-}
-
 uint16_t board_convert(void *self, unsigned channel)
 {
     board_t *board = (board_t *)self;
@@ -64,7 +55,7 @@ uint16_t board_convert(void *self, unsigned channel)
     case BUS:
         return switching_bus_code(&board->plant);
     case TEMPERATURE:
-        return temperature_code(board->plant.axis[axis].sink.t);
+        return plant_code_sink(board->plant.axis[axis].sink.t);
     default:
         return 0;
     }
