@@ -188,12 +188,28 @@ static void put_set_up(payload_writer_t *request, const board_cell_t *cell, uint
     put_operation(request, 0x03u, &nothing);
 }
 
+static uint8_t sample_program(board_t *board, board_sampler_t *sampler, int recorder, const board_cell_t *cell,
+                              uint16_t cells, uint32_t point, uint32_t *samples, uint32_t points)
+{
+    board_sampler_t set_up = {.cells = cells, .recorder = recorder, .point = point, .points = points};
+    for (uint16_t k = 0; k < cells; k++) {
+        set_up.source[k] = board_program_place(board, cell[k].address, cell[k].size);
+        set_up.size[k] = cell[k].size;
+        if (set_up.source[k] == NULL) {
+            return FM_DENIED;
+        }
+    }
+    if (point == 0u || points == 0u) {
+        return FM_BAD_SIZE;
+    }
+    set_up.samples = (uint8_t *)samples;
+    *sampler = set_up;
+    return FM_OK;
+}
+
 uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uint16_t cells, uint32_t *samples,
                      uint32_t points)
 {
-    if (board_program_identity(board) != 0u) {
-        return FM_UNKNOWN_COMMAND; /* the recorder of a program has memory of its own only */
-    }
     freemaster_t *server = &board_servo(board)->freemaster;
     if (recorder < 0 || recorder >= FREEMASTER_RECORDERS || cells > RECORDER_SLOTS) {
         return FM_BAD_SIZE;
@@ -202,6 +218,10 @@ uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uin
     uint32_t point = 0;
     for (uint16_t k = 0; k < cells; k++) {
         point += cell[k].size;
+    }
+    board_sampler_t *sampler = board_sampler(board);
+    if (sampler != NULL) {
+        return sample_program(board, sampler, recorder, cell, cells, point, samples, points);
     }
     uint8_t data[(RECORDER_SLOTS + 2) * OPERATION_ROOM];
     payload_writer_t request = {data, sizeof data, 0, false};
@@ -218,6 +238,11 @@ uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uin
 
 uint32_t board_sampled(board_t *board, uint32_t *next)
 {
+    const board_sampler_t *sampler = board_sampler(board);
+    if (sampler != NULL) {
+        *next = sampler->next;
+        return sampler->filled ? sampler->points : sampler->next;
+    }
     const recorder_memory_t *memory = &board_servo(board)->freemaster.samples;
     const recorder_sampling_t *sampling = &memory->sampling;
     *next = 0;
@@ -231,6 +256,11 @@ uint32_t board_sampled(board_t *board, uint32_t *next)
 /* The recorders get their own memory again, as after a reset. */
 void board_sample_end(board_t *board)
 {
+    board_sampler_t *sampler = board_sampler(board);
+    if (sampler != NULL) {
+        *sampler = (board_sampler_t){.samples = NULL};
+        return;
+    }
     servo_t *servo = board_servo(board);
     freemaster_t *server = &servo->freemaster;
     for (int k = 0; k < FREEMASTER_RECORDERS; k++) {

@@ -24,6 +24,20 @@ flash_t *board_flash(board_t *board, uint64_t *now_ns)
 
 servo_t *board_servo(board_t *board) { return &board->servo; }
 
+board_sampler_t *board_sampler(board_t *board)
+{
+    (void)board;
+    return NULL;
+}
+
+const uint8_t *board_program_place(board_t *board, uint32_t address, uint16_t size)
+{
+    (void)board;
+    (void)address;
+    (void)size;
+    return NULL;
+}
+
 uint64_t board_program_identity(const board_t *board)
 {
     (void)board;

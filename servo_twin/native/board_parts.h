@@ -3,9 +3,11 @@
 #define SERVO_TWIN_BOARD_PARTS_H
 
 #include <stdbool.h>
+#include <string.h>
 
 #include "app/servo.h"
 #include "board.h"
+#include "comm/recorder.h"
 #include "flash.h"
 
 /* A part of struct board that its image leaves out. Of a ring buffer the image contains the bytes in use. */
@@ -38,6 +40,42 @@ void board_servo_config(const board_config_t *config, servo_config_t *servo);
 
 /* The servo, after its boot. */
 servo_t *board_servo(board_t *board);
+
+/* Variables of a program, read at the end of a loop without taking time: its own recorder has its own memory only. */
+typedef struct {
+    const uint8_t *source[RECORDER_SLOTS];
+    uint8_t size[RECORDER_SLOTS]; /* [bytes] */
+    uint16_t cells;
+    int recorder; /* of the loop: 0 fast, 1 slow */
+    uint8_t *samples; /* ring buffer of the host; NULL: no sampling */
+    uint32_t point; /* [bytes] */
+    uint32_t points; /* capacity */
+    uint32_t next; /* index of the next point */
+    bool filled;
+} board_sampler_t;
+
+static inline void board_sampler_take(board_sampler_t *sampler, int recorder)
+{
+    if (sampler->samples == NULL || sampler->recorder != recorder) {
+        return;
+    }
+    uint8_t *to = sampler->samples + (size_t)sampler->next * sampler->point;
+    for (uint16_t k = 0; k < sampler->cells; k++) {
+        memcpy(to, sampler->source[k], sampler->size[k]);
+        to += sampler->size[k];
+    }
+    sampler->next++;
+    if (sampler->next == sampler->points) {
+        sampler->next = 0;
+        sampler->filled = true;
+    }
+}
+
+/* NULL if the software is linked: then its recorder samples. */
+board_sampler_t *board_sampler(board_t *board);
+
+/* Place of a variable of the program, or NULL. */
+const uint8_t *board_program_place(board_t *board, uint32_t address, uint16_t size);
 
 /* Identity of the program that is executed instead of that servo; 0: none. */
 uint64_t board_program_identity(const board_t *board);

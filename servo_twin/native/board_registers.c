@@ -16,9 +16,10 @@ static const board_gap_t gaps[] = {
     LEFT_OUT(BOARD_BUS.escape),
     BOARD_GAPS_BEFORE_LINE{LINE(in), SERIAL_LINE_IN, LINE(in_head), LINE(in_size)},
     {LINE(out), SERIAL_LINE_OUT, LINE(out_head), LINE(out_size)},
-    BOARD_GAPS_BEHIND_LINE{.offset = offsetof(struct board, program.arm.region),
-                           .size = offsetof(struct board, program.hooks) + sizeof(program_hooks_t *) -
-                                   offsetof(struct board, program.arm.region)},
+    BOARD_GAPS_BEHIND_LINE{.offset = offsetof(struct board, sampler), .size = sizeof(board_sampler_t)},
+    {.offset = offsetof(struct board, program.arm.region),
+     .size = offsetof(struct board, program.hooks) + sizeof(program_hooks_t *) -
+             offsetof(struct board, program.arm.region)},
     {offsetof(struct board, program.ram), PROGRAM_RAM, offsetof(struct board, program.ram_first),
      offsetof(struct board, program.ram_used)},
 };
@@ -158,6 +159,12 @@ static uint32_t handler_ended(board_t *board, unsigned vector, uint32_t tick)
     const bool loop = vector == board_wiring.vector_m1 || second;
     const bool starts = board->starting && vector == board_wiring.vector_start;
     const bool published = second && tick != board->tick;
+    if (published) {
+        board_sampler_take(&board->sampler, 1);
+    }
+    if (second) {
+        board_sampler_take(&board->sampler, 0);
+    }
     board->tick = second ? tick : board->tick; /* another handler may end in it, after the snapshot */
     board->starting = board->starting && !starts;
     board->chip.BOARD_BUS.stop = board->chip.BOARD_BUS.stop || starts || (board->recording && published);
@@ -297,6 +304,17 @@ servo_t *board_servo(board_t *board)
 {
     boot_once(board);
     return &board->linked.servo;
+}
+
+board_sampler_t *board_sampler(board_t *board)
+{
+    boot_once(board);
+    return board->program.loaded ? &board->sampler : NULL;
+}
+
+const uint8_t *board_program_place(board_t *board, uint32_t address, uint16_t size)
+{
+    return program_live(&board->program, address, size);
 }
 
 uint64_t board_program_identity(const board_t *board) { return board->program.identity; }

@@ -33,6 +33,7 @@ struct board {
     unsigned closed[BOARD_AXES]; /* contacts whose pins are low, a bit per board_pin_t */
     bool recording; /* stop after each slow tick */
     uint32_t tick; /* of the last snapshot */
+    board_sampler_t sampler; /* of the program */
     program_t program; /* instead of `linked`, if it is loaded */
 };
 

@@ -171,7 +171,8 @@ const char *board_save(board_t *board, uint8_t *image, size_t room, size_t *size
         return problem;
     }
     const servo_t *servo = board_servo(board);
-    if (board_program_identity(board) == 0u && servo->freemaster.samples.samples != servo->samples) {
+    const board_sampler_t *sampler = board_sampler(board);
+    if ((sampler != NULL) ? sampler->samples != NULL : servo->freemaster.samples.samples != servo->samples) {
         return "a recorder samples into memory of the host; end the sampling first";
     }
     *size = sizeof(header_t) + board_layout.size;

@@ -11,7 +11,7 @@
 
 /* The program is where most instructions run: the flash, or RAM. The flash is behind the RAMs then. */
 enum { REGION_PROGRAM, REGION_RAM, REGION_RAM_2, REGION_BOOT, REGION_DATA, REGIONS };
-enum { LAYOUT_SNAPSHOT, LAYOUT_SNAPSHOT_SIZE, LAYOUT_WINDING, LAYOUT_WORDS = LAYOUT_WINDING + 2 };
+enum { LAYOUT_SNAPSHOT, LAYOUT_SNAPSHOT_SIZE, LAYOUT_WINDING, LAYOUT_SPACE = LAYOUT_WINDING + 2, LAYOUT_WORDS };
 
 /* ---- time ----------------------------------------------------------------------------------------------------------- */
 
@@ -245,30 +245,29 @@ static const uint8_t *place(const program_t *program, uint32_t address, size_t s
 
 /* ---- calls ---------------------------------------------------------------------------------------------------------- */
 
-/* Result of a function of the program with the arguments (servo, address, data, size); no time passes. */
-static uint8_t call(program_t *program, uint32_t function, uint32_t address, uint8_t *data, uint16_t size)
+/* Result of a function of the program, which finds `data` at DATA_BASE; no time passes. FM_BUSY if it cannot run. */
+static uint32_t call(program_t *program, uint32_t function, const uint32_t argument[4], uint8_t *data, uint16_t size)
 {
     arm_t *arm = &program->arm;
     bus_t *bus = program->bus;
     arm_state_t *state = &arm->state;
     const arm_state_t before = *state;
     jmp_buf within;
-    volatile uint8_t result = FM_BUSY;
+    volatile uint32_t result = FM_BUSY;
     memcpy(&within, &bus->escape, sizeof within);
     arm->region[REGION_DATA] = (arm_region_t){.base = DATA_BASE, .size = size, .bytes = data, .writable = true};
     program->calling = true;
     if (!bus->failed && setjmp(bus->escape) == 0) {
         bus->polls = 0;
         arm_call_begin(arm, function);
-        state->r[0] = program->servo;
-        state->r[1] = address;
-        state->r[2] = DATA_BASE;
-        state->r[3] = size;
+        for (unsigned k = 0; k < 4u; k++) {
+            state->r[k] = argument[k];
+        }
         arm_give(arm, INT32_MAX);
         if (arm_run(arm) != ARM_RETURNED) {
             bus_fail(bus, "%s", arm->failed ? arm->error : "a function of the program does not return");
         }
-        result = (uint8_t)state->r[0];
+        result = state->r[0];
     }
     program->calling = false;
     arm->region[REGION_DATA] = (arm_region_t){.base = DATA_BASE};
@@ -279,12 +278,20 @@ static uint8_t call(program_t *program, uint32_t function, uint32_t address, uin
 
 uint8_t program_read(program_t *program, uint32_t address, uint8_t *data, uint16_t size)
 {
-    return call(program, program->read, address, data, size);
+    return (uint8_t)call(program, program->read, (uint32_t[4]){program->servo, address, DATA_BASE, size}, data, size);
 }
 
 uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data, uint16_t size)
 {
-    return call(program, program->write, address, (uint8_t *)data, size); /* only read */
+    const uint32_t argument[4] = {program->servo, address, DATA_BASE, size};
+    return (uint8_t)call(program, program->write, argument, (uint8_t *)data, size); /* only read */
+}
+
+const uint8_t *program_live(program_t *program, uint32_t address, uint16_t size)
+{
+    uint8_t cell[1];
+    const uint32_t argument[4] = {program->space, address, size, DATA_BASE};
+    return place(program, call(program, program->live, argument, cell, sizeof cell), size);
 }
 
 const uint8_t *program_snapshot(const program_t *program)
@@ -332,7 +339,7 @@ static bool find_symbols(program_t *program, const elf_t *elf, const servo_confi
 {
     uint32_t layout_at, config_at, baud_at, layout[LAYOUT_WORDS];
     if (!find_symbol(elf, "servo", 0u, &program->servo) || !find_symbol(elf, "servo_read", 0u, &program->read) ||
-        !find_symbol(elf, "servo_write", 0u, &program->write) ||
+        !find_symbol(elf, "servo_write", 0u, &program->write) || !find_symbol(elf, "tsa_live", 0u, &program->live) ||
         !find_symbol(elf, "image_layout", sizeof layout, &layout_at) ||
         !find_symbol(elf, "servo_config", sizeof *config, &config_at) ||
         !find_symbol(elf, "image_baud", sizeof baud, &baud_at)) {
@@ -346,6 +353,7 @@ static bool find_symbols(program_t *program, const elf_t *elf, const servo_confi
     }
     memcpy(layout, numbers, sizeof layout);
     program->snapshot = program->servo + layout[LAYOUT_SNAPSHOT];
+    program->space = program->servo + layout[LAYOUT_SPACE];
     program->winding[0] = program->servo + layout[LAYOUT_WINDING];
     program->winding[1] = program->servo + layout[LAYOUT_WINDING + 1];
     if (layout[LAYOUT_SNAPSHOT_SIZE] != sizeof(snapshot_t) ||

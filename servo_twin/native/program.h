@@ -50,7 +50,7 @@ typedef struct program {
     uint64_t identity; /* of the program, for states of boards */
     uint64_t clock;    /* of the next instruction [bus clocks] */
     uint64_t next;     /* clock before which nothing happens; 0: unknown */
-    uint32_t servo, snapshot, winding[2], read, write; /* addresses in the program */
+    uint32_t servo, snapshot, space, winding[2], read, write, live; /* addresses in the program */
     size_t ram_first, ram_used; /* 0, bytes of the chip; without a program 0 */
     uint8_t ram[PROGRAM_RAM]; /* the memories of the chip, one behind the other */
 } program_t;
@@ -67,6 +67,9 @@ void program_run(program_t *program, uint64_t until);
 /* servo_read and servo_write of the program. */
 uint8_t program_read(program_t *program, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data, uint16_t size);
+
+/* tsa_live of the program: where the control loops have a variable of the table, or NULL. */
+const uint8_t *program_live(program_t *program, uint32_t address, uint16_t size);
 
 /* Place of `size` bytes of its flash or RAM, or NULL. */
 uint8_t *program_memory(program_t *program, uint32_t address, size_t size);

@@ -9,4 +9,5 @@ const uint32_t image_layout[] = {
     sizeof(snapshot_t),
     offsetof(servo_t, axis[0].diagnosis.winding.temperature),
     offsetof(servo_t, axis[1].diagnosis.winding.temperature),
+    offsetof(servo_t, freemaster.space),
 };

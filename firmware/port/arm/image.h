@@ -4,8 +4,8 @@
 
 #include <stdint.h>
 
-/* Offset of the snapshot in servo_t, its size, offsets of the winding temperatures of both axes. */
-extern const uint32_t image_layout[4];
+/* Offset of the snapshot in servo_t, its size, offsets of the winding temperatures of both axes and of what a client may access. */
+extern const uint32_t image_layout[5];
 
 /* Out of reset there are no functions of a library yet: volatile, so that the compiler does not call one. */
 static inline void image_copy(volatile uint32_t *to, const uint32_t *end, const uint32_t *from)
