@@ -61,6 +61,19 @@ C_PORT := $(filter-out %/startup.c,$(wildcard firmware/port/stm32f405/*.c))
 C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
+# Board of `demo`, `up` and `experiments`: that of the DSC, unless BOARD names another one. `demo` and `up` execute its ELF file, if there
+# is a compiler.
+ifneq ($(BOARD),)
+demo up experiments: export SERVO_BOARD := $(BOARD)
+endif
+ELF_odrive36 := firmware/port/stm32f405/build/servo.elf
+ELF := $(if $(shell command -v arm-none-eabi-gcc),$(ELF_$(BOARD)))
+ifneq ($(filter-out registers,$(LEVEL)),)
+ELF :=
+endif
+ifneq ($(ELF),)
+demo up: firmware
+endif
 # Board of `make firmware`, its configuration of the controller, and its generated files.
 BOARD ?= odrive36
 BOARD_CONFIG = firmware/config/$(BOARD).toml
@@ -101,11 +114,11 @@ setup: $(VENV)/.native ## virtual environment with everything that runs
 
 extras: $(VENV)/.extras ## Dask for `servo-sim --scheduler`, Optuna for `tune-robust`, MuJoCo for `robot`
 
-demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png
-	@$(BIN)/servo-up --demo --out out
+demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png; BOARD=odrive36
+	@$(BIN)/servo-up --demo --out out $(ELF:%=--elf %)
 
-up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board, SET=... for its parameters
-	@$(BIN)/servo-up $(call option,--port,PORT) $(call option,--baud,BAUD) $(foreach set,$(value SET),--set $(call quoted,$(set)))
+up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board, SET=... for its parameters; BOARD=odrive36
+	@$(BIN)/servo-up $(ELF:%=--elf %) $(call option,--port,PORT) $(call option,--baud,BAUD) $(foreach set,$(value SET),--set $(call quoted,$(set)))
 
 experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments

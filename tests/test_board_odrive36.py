@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import serial
 from servo_msgs_py.board_description import VARIABLE, BoardDescription
@@ -17,8 +19,9 @@ from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.text_file import read_toml
 from servo_twin._build_native import generated_for
 from servo_twin.board import Board, BoardError
+from servo_twin.cli import main as servo_sim
 from servo_twin.fault_injection import HotPowerStage, StuckConverter
-from servo_twin.level import LEVELS, Level
+from servo_twin.level import ELF_VARIABLE, LEVEL_VARIABLE, LEVELS, Level
 from servo_twin.plant import DEFAULT_FILE, PlantConfig, on_board
 from servo_twin.simulation import keep_set_points
 from targets.sources import ROOT
@@ -161,6 +164,86 @@ def test_a_wrong_converter_input_is_a_fault(elf: bytes) -> None:
     with enabled(new_board(elf.replace(right, wrong))) as board:
         assert board.peek(ADC2_JSQR) == int.from_bytes(wrong, "little")
         assert board.read("axis1.faults") or board.read("axis2.faults")
+
+
+def test_variables_are_sampled_at_the_end_of_their_loops(board: Board) -> None:
+    """Every slow tick and every PWM period, as by the recorder of the firmware, but without its time."""
+    enabled(board)
+    elements = [(board.catalogue[name], 0) for name in ("tick", "axis1.position", "axis1.i_q")]
+    board.write("cmd.position", [3.0, -2.0])
+    board.sample(1, elements, 1000)
+    log = board.record(600 * MS)
+    sampled = board.sampled()
+    assert sampled["tick[0]"].tolist() == log["tick"].tolist()
+    assert sampled["axis1.position[0]"].tolist() == log["axis1.position"].tolist()
+    assert len(set(sampled["axis1.position[0]"].tolist())) > 50
+    with pytest.raises(BoardError, match="end the sampling"):
+        board.state()
+    board.sample(0, elements, 200)  # the last ones are kept
+    board.run(0.02)
+    periods = board.sampled()["tick[0]"]
+    assert len(periods) == 200
+    assert set(np.diff(periods)) == {1}
+    board.end_sampling()
+    with pytest.raises(BoardError, match="not inside one variable"):
+        board.sample(0, [(elements[0][0], 10_000)], 200)
+
+
+TWIN = """
+from twin_rig import TwinRig
+
+with TwinRig(real_seed=7, twin_seed=int(input())) as rig:
+    rig.enable_axes()
+    rig.move([3.0, -2.0])
+    assert rig.board.catalogue.board.name == "odrive36" and rig.twin.synchronisations == 1
+    assert max(pair.real["axis1.position"] for pair in rig.pairs) > 15.0
+    differences = sum(value != pair.real[name] for pair in rig.pairs for name, value in pair.twin.items())
+    print(rig.board.level, bool(rig.board.elf_sha256), len(rig.pairs) > 150, differences)
+"""
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_the_twin_of_a_board_with_the_same_software_has_no_residual(
+    software: bytes | None, tmp_path: Path, seed: int
+) -> None:
+    """The same ELF file, or the linked firmware: every bit of the telemetry; with other noise it is not."""
+    environment = environment_of(software, tmp_path) | {"PYTHONPATH": str(ROOT / "servo_twin" / "test")}
+    command = [sys.executable, "-c", TWIN]
+    done = subprocess.run(command, input=str(seed), capture_output=True, text=True, env=environment, check=False)
+    level, has_elf, compared, differences = done.stdout.split() or [done.stderr] * 4
+    assert (level, has_elf, compared) == ("registers" if software else "ideal", str(software is not None), "True")
+    assert (int(differences) == 0) == (seed == 7)
+
+
+def environment_of(software: bytes | None, folder: Path) -> dict[str, str]:
+    """Environment of a process with this board."""
+    if software is None:
+        return {**os.environ, VARIABLE: "odrive36", LEVEL_VARIABLE: "ideal"}
+    (program := folder / "servo.elf").write_bytes(software)
+    kept = {name: value for name, value in os.environ.items() if name != LEVEL_VARIABLE}
+    return {**kept, VARIABLE: "odrive36", ELF_VARIABLE: str(program)}
+
+
+def test_servo_sim_executes_the_file(elf: bytes, tmp_path: Path) -> None:
+    environment = environment_of(elf, tmp_path)
+    file = environment.pop(ELF_VARIABLE)
+    move = ["move", "--elf", file, "--turns", "0.5", "--time", "0.3", "--json"]
+    command = [sys.executable, "-m", "servo_twin.cli", *move]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    assert [abs(one["target"] - one["reached"]) <= 2 for one in json.loads(done.stdout)["moves"]] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"), [(["--level", "ideal"], "runs at level registers only"), ([], "No such file")]
+)
+def test_a_file_that_cannot_be_executed_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, options: list[str], text: str
+) -> None:
+    monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
+    monkeypatch.setenv(ELF_VARIABLE, "")  # restored afterwards
+    assert servo_sim(["move", "--elf", str(tmp_path / "none.elf"), *options]) == 1
+    assert text in capsys.readouterr().err
 
 
 def test_the_board_needs_its_program() -> None:

@@ -16,10 +16,12 @@ import pytest
 from chain import DOMAIN, ros_user
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
+from servo_msgs_py.board_description import VARIABLE
 from servo_msgs_py.run_file.reader import RunReader
 from servo_msgs_py.run_file.run_info import run_info, string_of
 from servo_msgs_py.runtime.claim import claimed
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
+from servo_twin.level import ELF_VARIABLE, LEVEL_VARIABLE
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.processes import Child, executable
 from servo_twin.up import Stack, _run_file, main, parser
@@ -169,6 +171,23 @@ def test_demonstration_moves_records_and_draws_where_board_time_is_slow(tmp_path
     assert info.virtual_board is not None
     assert (info.virtual_board.level, info.virtual_board.seed, len(info.configuration)) == ("ideal", 1, 2)
     assert left_behind(str(tmp_path)) == []
+
+
+def test_demonstration_on_another_board(tmp_path: Path) -> None:
+    """Without an ELF file its firmware is linked, at level ideal; bridge and twin are of that board, too."""
+    environment = {name: value for name, value in os.environ.items() if name not in (LEVEL_VARIABLE, ELF_VARIABLE)}
+    result = subprocess.run(
+        [str(executable("servo-up")), "--demo", "--domain-id", str(DOMAIN), "--out", str(tmp_path)],
+        env={**environment, VARIABLE: "odrive36", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        capture_output=True,
+        text=True,
+        timeout=180.0,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "no ELF file of the firmware for the board odrive36 (--elf): level ideal" in result.stdout
+    assert "connected to servo/odrive36" in result.stdout
+    assert json.loads((tmp_path / "demo.json").read_text())["trouble"] is None
 
 
 def test_old_recordings_of_sessions_are_removed(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ from servo_twin.board_sampler import BoardSampler
 from servo_twin.board_state import BoardState
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
-from servo_twin.level import Level, chosen_level
+from servo_twin.level import ELF_LEVEL, Level, chosen_elf, chosen_level
 from servo_twin.plant import FIXED_NAMES, PlantConfig, PlantError
 from servo_twin.servo_config import ServoConfig
 from servo_twin.truth import Truth
@@ -94,6 +94,11 @@ def build_of(board: str, level: Level) -> Firmware:
             "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
         ) from error
     return Firmware(module.ffi, module.lib, str(module.__file__))
+
+
+def needs_elf(board: str, level: Level) -> bool:
+    """True if no firmware is linked with the model of a board at a level."""
+    return level == ELF_LEVEL and board not in _LINKED
 
 
 def flash_bytes(board: str = DEFAULT_BOARD) -> int:
@@ -202,7 +207,8 @@ class Board:
         Another build of firmware, chip and plant; that of `level` by default.
     elf : bytes, optional
         ELF file of the firmware (``make firmware BOARD=mc56f84789_m4``), executed instruction by instruction instead of
-        the linked firmware, at level ``registers``. `core` has no effect then: the instructions take the time.
+        the linked firmware, at level ``registers``; by default that of the environment variable SERVO_TWIN_ELF. `core`
+        has no effect then: the instructions take the time.
 
     Raises
     ------
@@ -232,13 +238,15 @@ class Board:
         self.catalogue = catalogue or Catalogue.load()
         board = self.catalogue.board.name
         self.firmware = firmware or build_of(board, self.level)
-        if elf is None and self.level == "registers" and board not in _LINKED:
+        if elf is None and firmware is None and self.level == ELF_LEVEL:
+            elf = chosen_elf()
+        if elf is None and needs_elf(board, self.level):
             raise BoardError(
                 f"no firmware is linked with the model of the board {board} at level registers: "
                 f"give its ELF file (make firmware BOARD={board}), or level ideal"
             )
-        if elf is not None and self.level != "registers":
-            raise ValueError("an ELF file runs at level registers only")
+        if elf is not None and self.level != ELF_LEVEL:
+            raise ValueError(f"an ELF file runs at level {ELF_LEVEL} only")
         self._elf = elf
         self._ffi, self._lib = self.firmware.ffi, self.firmware.lib
         self.plant = plant or PlantConfig.load()
@@ -310,9 +318,12 @@ class Board:
     @property
     def build(self) -> str:
         """SHA-256 of the compiled module, and of the ELF file if there is one: such boards give the same bits."""
-        if self._elf is None:
-            return self.firmware.build
-        return f"{self.firmware.build}+elf:{hashlib.sha256(self._elf).hexdigest()}"
+        return f"{self.firmware.build}+elf:{self.elf_sha256}" if self._elf else self.firmware.build
+
+    @property
+    def elf_sha256(self) -> str:
+        """SHA-256 of the ELF file that is executed, hexadecimal; empty: none."""
+        return hashlib.sha256(self._elf).hexdigest() if self._elf else ""
 
     # ---- state ------------------------------------------------------------------------------------------------------
 

@@ -17,10 +17,10 @@ from servo_msgs_py.table_text import aligned
 from servo_msgs_py.trace import Trace
 
 from servo_msgs_py import argument
-from servo_twin.board import Board
+from servo_twin.board import Board, BoardError
 from servo_twin.diagnosis import command as diagnose
 from servo_twin.identification import command as identify
-from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
+from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_options, use_elf
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.robot import command as robot
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, turns
@@ -89,9 +89,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _levelled(default: Level) -> argparse.ArgumentParser:
-    """Parent with ``--level``."""
+    """Parent with ``--level`` and ``--elf``."""
     result = argparse.ArgumentParser(add_help=False)
-    add_level_option(result, "the board is", default)
+    add_level_options(result, "the board is", default)
     return result
 
 
@@ -209,8 +209,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     args = parser().parse_args(argv)
     try:
+        if "elf" in args:
+            use_elf(args)
         return int(args.run(args))
-    except (SimulationError, ValueError) as error:
+    except (BoardError, SimulationError, ValueError) as error:
         print(f"servo-sim: {error}", file=sys.stderr)
         return 2 if isinstance(error, PlantError) else 1
 

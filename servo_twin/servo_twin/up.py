@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NoReturn
 
+from servo_msgs_py.board_description import BoardDescription
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.run_file.series import segments, split
@@ -29,8 +30,19 @@ from servo_msgs_py.runtime.program import Interrupted, deferred, program
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 from servo_msgs_py import argument, board_parameters
+from servo_twin.board import needs_elf
 from servo_twin.diagnosis.thresholds import Thresholds
-from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, LEVEL_VARIABLE, Level, add_level_option, chosen_level
+from servo_twin.level import (
+    DEFAULT_LEVEL,
+    ELF_LEVEL,
+    ELF_VARIABLE,
+    FAST_LEVEL,
+    LEVEL_VARIABLE,
+    Level,
+    add_level_options,
+    chosen_level,
+    use_elf,
+)
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.plant import PlantConfig
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
@@ -95,7 +107,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--thresholds", type=Path, help="threshold file of `servo_twin calibrate` for the diagnosis of the twin"
     )
-    add_level_option(result, "virtual board and twin are", f"{DEFAULT_LEVEL}; {FAST_LEVEL} on a slow machine")
+    add_level_options(result, "virtual board and twin are", f"{DEFAULT_LEVEL}; {FAST_LEVEL} on a slow machine")
     result.add_argument("--no-web", action="store_true", help="do not start the viewer in the browser")
     result.add_argument("--record", type=argument.output_file, help="record to this .rrd file")
     result.add_argument(
@@ -203,7 +215,11 @@ def _refuse_second_bridge(environment: Mapping[str, str]) -> None:
 
 
 def _suitable_level(boards: int) -> Level:
-    """Level that this machine can keep up with, according to a measurement."""
+    """Level that this machine can keep up with, according to a measurement, and for which there is software."""
+    name = BoardDescription.load().name
+    if needs_elf(name, ELF_LEVEL) and not os.environ.get(ELF_VARIABLE):
+        _print(f"no ELF file of the firmware for the board {name} (--elf): level {FAST_LEVEL}")
+        return FAST_LEVEL
     speed = simulation_speed(DEFAULT_LEVEL, boards)
     level = level_for(speed)
     if level != DEFAULT_LEVEL:
@@ -218,7 +234,9 @@ def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     link = folder / "board"
     given = [("--plant", args.plant), ("--robot", args.robot)]
     more = [text for option, value in given if value for text in (option, str(value))]
-    _print(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {args.level}")
+    what = f"virtual board {BoardDescription.load().name} on {link}, {args.baud} baud, seed {args.seed}"
+    elf = os.environ.get(ELF_VARIABLE) if args.level == ELF_LEVEL else None
+    _print(f"{what}, level {args.level}{f', firmware {elf}' if elf else ''}")
     stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *more)
     stack.wait(link.exists, "the port of the virtual board")
     return str(link)
@@ -355,6 +373,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.demo and args.port:
         parser().error("--demo moves the shafts: it is permitted with the virtual board only, not with --port")
     try:
+        use_elf(args)
         _check_inputs(args)
     except ValueError as error:
         _print(f"servo-up: {error}")

@@ -32,7 +32,7 @@ from servo_msgs_py.units import TICK_NS
 
 from servo_msgs_py import argument
 from servo_twin.board import Board, BoardError, SimulationError, flash_bytes
-from servo_twin.level import Level, add_level_option
+from servo_twin.level import ELF_VARIABLE, Level, add_level_options, use_elf
 from servo_twin.plant import PlantConfig
 from servo_twin.robot.command import MODEL_HELP as ROBOT_HELP
 from servo_twin.robot.command import load as load_robot
@@ -54,10 +54,6 @@ _TERMINALS: Final = "/dev/pts/"  # folder of the pseudo-terminals
 
 FIRST_REPORT_S: Final = 1.0
 """Averaging time before the first slip warning [s]."""
-
-
-ELF_BYTES_MAX: Final = 16_000_000
-"""Largest ELF file, with the information for a debugger."""
 
 
 class LinkError(Exception):
@@ -395,14 +391,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="file for the contents of the data flash (default: lost at the end)",
     )
-    parser.add_argument(
-        "--elf",
-        type=Path,
-        metavar="FILE",
-        help="execute the firmware of this ELF file (make firmware BOARD=mc56f84789_m4), at level registers",
-    )
     parser.add_argument("--robot", metavar="MODEL", help=ROBOT_HELP)
-    add_level_option(parser, "the board is")
+    add_level_options(parser, "the board is")
     parser.add_argument(
         "--clock",
         action="store_true",
@@ -432,8 +422,8 @@ def main(argv: list[str] | None = None) -> int:
         update_flash = _flash_updater(board, flash)
         where = f"{options.link} -> {line.device}" if options.link else line.device
         what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
-        if options.elf:
-            what += f", {options.elf} (SHA-256 {board.build.rpartition(':')[2]})"
+        if board.elf_sha256:
+            what += f", {os.environ[ELF_VARIABLE]} (SHA-256 {board.elf_sha256})"
         print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
         if options.link:
             write_virtual_board(options.link, _facts(board, robot, options, line.device))
@@ -458,14 +448,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def _simulated(options: argparse.Namespace, robot: RobotModel | None, flash: bytes | None) -> tuple[Board, int]:
     """The board, and the length of a step of what it is part of [ns]."""
+    use_elf(options)
     settings = {"seed": options.seed, "baud": options.baud, "level": options.level, "flash": flash}
-    if options.elf is not None:
-        try:
-            settings["elf"] = read_bytes(options.elf, ELF_BYTES_MAX)
-        except OSError as error:
-            raise ValueError(f"{options.elf}: {error.strerror}") from None
-        except TextFileError as error:
-            raise ValueError(f"{options.elf}: {error}") from None
     plant = PlantConfig.load(options.plant)
     if robot is None:
         return Board(plant, **settings), TICK_NS

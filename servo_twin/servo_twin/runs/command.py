@@ -21,7 +21,7 @@ from servo_msgs_py.trace import Trace
 from servo_msgs_py import argument
 from servo_twin.board import BoardError, SimulationError, firmware_of
 from servo_twin.diagnosis.thresholds import Thresholds
-from servo_twin.level import FAST_LEVEL, add_level_option, chosen_level
+from servo_twin.level import FAST_LEVEL, add_level_options, chosen_level, use_elf
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 from servo_twin.robot.command import load as load_robot
@@ -68,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
     )
     replayer.add_argument("--robot", metavar="MODEL", help="what if: another MuJoCo model that the shafts move")
     replayer.add_argument("--seed", type=int, help="seed of the sensor noise (default: recorded, or 1)")
-    add_level_option(replayer, "the twin is", FAST_LEVEL)
+    add_level_options(replayer, "the twin is", FAST_LEVEL)
     _add_common_options(replayer, ".mcap, .rrd or .json")
     replayer.set_defaults(run_command=_replay)
     comparer = verbs.add_parser(
@@ -230,6 +230,7 @@ def _compare(args: argparse.Namespace) -> int:
 
 
 def _replay(args: argparse.Namespace) -> int:
+    use_elf(args)
     level = chosen_level(args.level, default=FAST_LEVEL)
     what_if = WhatIf(
         PlantConfig.load(args.plant) if args.plant else None,
