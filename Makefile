@@ -216,7 +216,7 @@ lint: $(VENV)/.dev ## ruff, mypy, clang-format, clang-tidy and cppcheck, changin
 	echo "== clang-tidy"; $(BIN)/clang-tidy --quiet $(C_CORE) $(C_MODELS) -- $(C_LINT) -Wshadow 2>$(VENV)/clang-tidy.log || status=1; \
 	$(call generated_for,odrive36,$(VENV)/boards/odrive36) >/dev/null && $(BIN)/clang-tidy --quiet $(C_PORT) -- -iquote $(VENV)/boards/odrive36 -DCHIP_ON_HOST \
 	  $(C_LINT) -Wshadow 2>>$(VENV)/clang-tidy.log || status=1; \
-	echo "== cppcheck"; $(BIN)/cppcheck --quiet --enable=warning,style,performance,portability --error-exitcode=1 \
+	echo "== cppcheck"; $(BIN)/cppcheck --quiet --max-configs=1 --enable=warning,style,performance,portability --error-exitcode=1 \
 	  --suppressions-list=.cppcheck-suppressions $(C_LINT) $(C_CORE) $(filter-out servo_twin/native/plant/%,$(C_MODELS)) || status=1; \
 	exit $$status ) >$(VENV)/lint-c.log 2>&1 & checks=$$!; \
 	echo "== ruff"; $(BIN)/ruff check --quiet || status=1; $(BIN)/ruff format --quiet --diff || status=1; \

@@ -17,7 +17,7 @@ from typing import Final
 from firmware_cost.calibration import weights_text
 from firmware_cost.measurement import measure, plain
 from firmware_cost.programs import TARGET
-from firmware_cost.table import compiler_of, table
+from firmware_cost.table import origin_of, problems, table
 from servo_twin._core_time import WEIGHTS
 from targets.machines import missing_text
 from targets.sources import ROOT, Sources
@@ -33,7 +33,7 @@ def difference(new: str) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return 0 if everything was measured; a difference from the committed table is no error."""
+    """Return 0 if everything was measured and is as it must be; a difference from the committed table is no error."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench" / "firmware.json", metavar="FILE")
     parser.add_argument(
@@ -46,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="cost-") as name:
         try:
             measurement = measure(Sources().copy(Path(name) / "sources"), Path(name) / "build")
+            found = problems(measurement)
         except TargetError as error:
             print(error, file=sys.stderr)
             return 1
@@ -53,6 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(plain(measurement), indent=1) + "\n", encoding="utf-8")
+    if found:
+        print("\n".join(found), file=sys.stderr)
+        return 1
     if options.update:
         TABLE.write_text(text, encoding="utf-8")
         WEIGHTS.write_text(weights_text(measurement.weights), encoding="utf-8")
@@ -61,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _print_status(text: str) -> None:
-    committed = compiler_of(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else ""
-    if committed != compiler_of(text):
+    committed, _ = origin_of(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else ("", "")
+    if committed != origin_of(text)[0]:
         print(f"The committed table was made with {committed or 'nothing'}.")
     changes = difference(text)
     print("\n".join(changes) or "The committed table says the same.")

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from targets.sources import Sources
+from targets.toolchain import run
 
-from firmware_cost.calibration import Charges, Charging, charges, fit
-from firmware_cost.instructions import Count, Counts, Setup, count, name_of
-from firmware_cost.programs import OPTIMISATIONS, Programs, compiler
-from firmware_cost.recorder import recorder_costs
+from firmware_cost.calibration import Charges, Charging, charges, fit, weights_text
+from firmware_cost.instructions import Count, Counts, Setup, cost_program, count, name_of
+from firmware_cost.programs import OBJCOPY, OPTIMISATIONS, Programs, compiler
+from firmware_cost.recorder import recorder_costs, recorder_program
 from firmware_cost.sizes import Size, Sizes, sizes
 from firmware_cost.stages import Stages, stages
 
@@ -25,6 +27,7 @@ class Measurement:
     """Costs per optimisation, and in more detail for `REFERENCE`."""
 
     compiler: str  # name and version
+    fingerprint: str  # of the programs and the weights, see `fingerprint`
     counts: Mapping[str, Counts]  # instructions, by optimisation
     sizes: Mapping[str, Sizes]  # bytes, by optimisation
     all_features: Counts  # instructions with all features that the reference design does not have
@@ -44,6 +47,24 @@ class Measurement:
             Setup.ALL_FEATURES: self.all_features,
             Setup.WITHOUT_ENCODERS: self.sensorless,
         }
+
+
+def fingerprint(programs: Programs, weights: str) -> str:
+    """First half of the SHA-256 of what was measured: equal programs have equal counts.
+
+    Parameters
+    ----------
+    programs : Programs
+        Of `REFERENCE`; those of other optimisations have the same sources.
+    weights : str
+        Text of the file with the weights.
+    """
+    found = hashlib.sha256(weights.encode())
+    for path in (*(cost_program(programs, loops=loops) for loops in (False, True)), recorder_program(programs)):
+        image = path.with_suffix(".bin")
+        run([OBJCOPY, "-O", "binary", path, image])
+        found.update(image.read_bytes())
+    return found.hexdigest()[:32]
 
 
 def measure(sources: Sources, folder: Path) -> Measurement:
@@ -72,6 +93,7 @@ def measure(sources: Sources, folder: Path) -> Measurement:
     weights = fit(charge, by_setup)
     return Measurement(
         compiler(),
+        fingerprint(programs[REFERENCE], weights_text(weights)),
         counts,
         {level: sizes(one) for level, one in programs.items()},
         others[Setup.ALL_FEATURES],
@@ -89,6 +111,7 @@ def plain(measurement: Measurement) -> dict[str, Any]:
     """The measurement as dictionaries and numbers."""
     return {
         "compiler": measurement.compiler,
+        "fingerprint": measurement.fingerprint,
         "instructions": {level: _counts(counts) for level, counts in measurement.counts.items()},
         "instructions_all_features": {REFERENCE: _counts(measurement.all_features)},
         "instructions_sensorless": {REFERENCE: _counts(measurement.sensorless)},

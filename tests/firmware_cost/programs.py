@@ -13,6 +13,7 @@ from targets.toolchain import compile_objects, version
 
 OPTIMISATIONS: Final = ("-Os", "-O2", "-O3")
 COMPILER: Final = "arm-none-eabi-gcc"
+OBJCOPY: Final = "arm-none-eabi-objcopy"
 TARGET: Final = CortexM3("-O2")
 """Target whose tools are needed for every optimisation."""
 

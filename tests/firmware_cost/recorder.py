@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
 from targets.machines import QemuProgram
@@ -24,6 +25,12 @@ CASES: Final = (
 """Cases of tests/bench/native/cost_recorder.c, in order."""
 
 
+def recorder_program(programs: Programs) -> Path:
+    """Program that calls a recorder."""
+    files = [*programs.objects(), programs.sources.native / "text.c", programs.bench / "cost_recorder.c"]
+    return programs.link("recorder", files)
+
+
 def recorder_costs(programs: Programs) -> Mapping[str, Count]:
     """Instructions of a call of ``recorder_sample()``, minus those of a call of an empty function.
 
@@ -32,8 +39,7 @@ def recorder_costs(programs: Programs) -> Mapping[str, Count]:
     TargetError
         If the run does not terminate normally.
     """
-    files = [*programs.objects(), programs.sources.native / "text.c", programs.bench / "cost_recorder.c"]
-    text = QemuProgram(programs.link("recorder", files), COUNTING).run(b"")
+    text = QemuProgram(recorder_program(programs), COUNTING).run(b"")
     found: dict[str, Count] = {}
     for line in text.splitlines():
         case, minimum, maximum, total, number = (int(word, 16) for word in line.split())
