@@ -306,6 +306,8 @@ def test_invalid_command_lines_are_refused(arguments: list[str], text: str, caps
         ("--plant", "[", "correct the TOML"),
         ("--twin-plant", "[axis1]\nr_s = -1\n", "r_s"),
         ("--thresholds", "x = 1\n", "thresholds.toml"),
+        ("--robot", None, "no such file"),
+        ("--robot", "<mujoco", "XML"),
     ],
 )
 def test_files_are_checked_before_anything_is_started(

@@ -30,7 +30,7 @@ from servo_msgs_py.runtime.program import Interrupted, deferred, program
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 from servo_msgs_py import argument, board_parameters
-from servo_twin.board import needs_elf
+from servo_twin.board import SimulationError, needs_elf
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import (
     DEFAULT_LEVEL,
@@ -47,6 +47,7 @@ from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.plant import PlantConfig
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 from servo_twin.robot.command import MODEL_HELP
+from servo_twin.robot.command import load as load_robot
 
 _PATIENCE: Final = 15.0  # until a message about what has not happened yet [s]; nothing fails because it is late
 _LOOK: Final = 3.0  # for a servo on another machine [s]
@@ -350,13 +351,15 @@ def _check_inputs(args: argparse.Namespace) -> None:
 
     Raises
     ------
-    ValueError, OSError
+    ValueError, OSError, SimulationError
         If one is wrong.
     """
     for plant in filter(None, (args.plant, args.twin_plant)):
         PlantConfig.load(plant)
     if args.thresholds:
         Thresholds.load(args.thresholds)
+    if args.robot:
+        load_robot(args.robot)
 
 
 @program("servo-up")
@@ -375,7 +378,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         use_elf(args)
         _check_inputs(args)
-    except ValueError as error:
+    except (SimulationError, ValueError) as error:
         _print(f"servo-up: {error}")
         return 2
     environment = _environment(args)
