@@ -51,6 +51,9 @@ ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
 # The compiled virtual boards, a stamp for each level. Objects of ../firmware are put beside the folder of objects: each has one of its own.
 BOARDS := $(VENV)/.ideal $(VENV)/.registers $(VENV)/.odrive36 $(VENV)/.odrive36_ideal
+# `demo` and `up` of the default board need only its own.
+USED_BOARDS := $(if $(filter-out demo up,$(or $(MAKECMDGOALS),help))$(BOARD),$(BOARDS),$(wordlist 1,2,$(BOARDS)))
+READY := $(VENV)/.native $(USED_BOARDS)
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
 TESTS := test test-simulated test-realtime
@@ -109,21 +112,21 @@ help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200, SET='NAME=VALUE ...' for parameters of the board (up); LEVEL=ideal (demo, up, experiments, test); PYTHON=python3.12 (setup); PYTEST_ARGS=..., MARKS='not slow' (test); TARGETS_ARGS='--seed 2' (targets)"
 
-setup: $(VENV)/.native ## virtual environment with everything that runs
+setup: $(READY) ## virtual environment with everything that runs
 	@echo "ready: $(BIN)"
 
 extras: $(VENV)/.extras ## Dask for `servo-sim --scheduler`, Optuna for `tune-robust`, MuJoCo for `robot`
 
-demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png; BOARD=odrive36
+demo: $(READY) ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png; BOARD=odrive36
 	@$(BIN)/servo-up --demo --out out $(ELF:%=--elf %)
 
-up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board, SET=... for its parameters; BOARD=odrive36
+up: $(READY) ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board, SET=... for its parameters; BOARD=odrive36
 	@$(BIN)/servo-up $(ELF:%=--elf %) $(call option,--port,PORT) $(call option,--baud,BAUD) $(foreach set,$(value SET),--set $(call quoted,$(set)))
 
-experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
+experiments: $(READY) ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments
 
-bench: $(VENV)/.native $(VENV)/.dev ## telemetry, latency and download against the wire; cost of a lost frame; error along a path; recording of a run; real-time factor of a board
+bench: $(READY) $(VENV)/.dev ## telemetry, latency and download against the wire; cost of a lost frame; error along a path; recording of a run; real-time factor of a board
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/telemetry.py
 	@$(BIN)/python tests/bench/link.py
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/download.py
@@ -132,10 +135,10 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry, latency and download against t
 	@$(BIN)/python tests/bench/recording.py
 	@$(BIN)/servo-sim bench
 
-bench-damage: $(VENV)/.native $(VENV)/.dev ## a million damaged frames between client and server; DAMAGE_ARGS='--frames 1000'
+bench-damage: $(READY) $(VENV)/.dev ## a million damaged frames between client and server; DAMAGE_ARGS='--frames 1000'
 	@$(BIN)/python tests/bench/damage.py $(DAMAGE_ARGS)
 
-bench-firmware: $(VENV)/.native ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
+bench-firmware: $(READY) ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
 
 # The generated files of the checkout are those of the DSC; another board has its own beside its objects.
@@ -154,13 +157,13 @@ bench-twin: $(VENV)/.fast ## how fast a virtual board is, at both levels; where 
 	@PYTHONPATH=tests $(BIN)/python tests/bench/twin.py
 	@$(BIN)/python tests/bench/plant.py
 
-bench-fmu: $(VENV)/.native $(VENV)/.dev ## bits of an exported FMU against those of the native board, over a million PWM periods
+bench-fmu: $(READY) $(VENV)/.dev ## bits of an exported FMU against those of the native board, over a million PWM periods
 	@PYTHONPATH=servo_twin/test $(BIN)/python tests/bench/fmu.py
 
-bench-state: $(VENV)/.native ## size of the state of a virtual board, time to save and to restore it
+bench-state: $(READY) ## size of the state of a virtual board, time to save and to restore it
 	@$(BIN)/python tests/bench/board_state.py
 
-bench-robot: $(VENV)/.native $(VENV)/.dev ## times real time of a two-joint arm in MuJoCo, beside the same arm with <dcmotor>
+bench-robot: $(READY) $(VENV)/.dev ## times real time of a two-joint arm in MuJoCo, beside the same arm with <dcmotor>
 	@$(BIN)/python tests/bench/robot.py
 
 # They have no wheels. composition_interfaces is a package of generated messages that launch_ros imports and our files do not use.
@@ -173,15 +176,15 @@ launch-tools: $(VENV)/.packages ## `ros2 launch`, for the tests, from a folder w
 	@mkdir $(VENV)/ros2launch/composition_interfaces
 	@printf 'class LoadNode:\n    class Request: ...\n    class Response: ...\n' >$(VENV)/ros2launch/composition_interfaces/srv.py
 
-targets: $(VENV)/.native ## the same bits everywhere: replay recorded runs on every compiler and machine
+targets: $(READY) ## the same bits everywhere: replay recorded runs on every compiler and machine
 	@PYTHONPATH=tests $(BIN)/python -m targets $(TARGETS_ARGS)
 
-fuzz: $(VENV)/.native ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
+fuzz: $(READY) ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
 	@$(BIN)/python firmware/test/freemaster_fuzz.py $(call option,--seconds,FUZZ_SECONDS)
 
 # Tests in real time mostly wait for the clock. The others use the rest of the processors, with the lowest priority: as processes,
 # and as a session, because Linux may share the processors among sessions first (autogroup). Their output comes last.
-test: $(VENV)/.native $(VENV)/.dev ## every check and every test
+test: $(READY) $(VENV)/.dev ## every check and every test
 	@setsid chrt --idle 0 sh -c '{ echo 19 >/proc/self/autogroup; } 2>/dev/null; exec $(MAKE) --no-print-directory test-simulated' \
 	  >$(VENV)/test-simulated.log 2>&1 & simulated=$$!; \
 	trap 'kill -TERM -$$simulated; wait; exit 1' HUP INT TERM; \
@@ -189,7 +192,7 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	tail --pid=$$simulated --lines=+1 --follow $(VENV)/test-simulated.log; \
 	wait $$simulated || status=1; exit $$status
 
-test-simulated: $(VENV)/.native $(VENV)/.dev ## make lint, and the tests that do not keep real time (part of test)
+test-simulated: $(READY) $(VENV)/.dev ## make lint, and the tests that do not keep real time (part of test)
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
 	echo "== pytest: on every core"; \
 	$(PYTEST) -m $(call quoted,not realtime$(if $(value MARKS), and ($(value MARKS)))) -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0 || \
@@ -198,7 +201,7 @@ test-simulated: $(VENV)/.native $(VENV)/.dev ## make lint, and the tests that do
 
 # Two at a time, each in a ROS domain of its own. Two chains of processes may overload two cores for a moment: what fails is run
 # once more, alone; the last line counts what passed only then.
-test-realtime: $(VENV)/.native $(VENV)/.dev ## tests of nodes, lines and processes in real time (part of test)
+test-realtime: $(READY) $(VENV)/.dev ## tests of nodes, lines and processes in real time (part of test)
 	@failed() { cat .pytest_cache/realtime/v/cache/lastfailed 2>/dev/null | grep -c ': true'; }; \
 	run() { $(PYTEST) -m $(call quoted,realtime$(if $(value MARKS), and ($(value MARKS)))) $(REALTIME) $(REALTIME_FILES) "$$@"; result=$$?; }; \
 	echo "== pytest: in real time"; run -n 2 --dist loadfile --max-worker-restart 1; repeated=0; \
@@ -230,7 +233,7 @@ format: $(VENV)/.dev ## lay out Python and C sources
 	$(BIN)/ruff format
 	$(BIN)/clang-format -i $(C_FILES)
 
-build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
+build: $(READY) ## compile the firmware and the virtual board (part of setup)
 
 fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, results equal except for rounding
 
@@ -282,7 +285,7 @@ $(VENV)/.created:
 
 # The packages are installed while the C is compiled: one waits for the network, the other for the processor.
 $(VENV)/.native: $(VENV)/.created Makefile constraints.txt $(METADATA) $(NATIVE)
-	@$(MAKE) --no-print-directory --jobs=3 $(VENV)/.packages $(BOARDS)
+	@$(MAKE) --no-print-directory --jobs=3 $(VENV)/.packages $(USED_BOARDS)
 	@# With PYTHONDONTWRITEBYTECODE each program would compile these at every start, which takes as long as the rest of it.
 	@env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -c 'import $(IMPORTED)'
 	@touch $@
