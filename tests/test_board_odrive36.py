@@ -124,6 +124,17 @@ def test_the_port_limits_the_current_beyond_the_gate_drivers(software: bytes | N
         assert faults(board) == [["OVER_CURRENT"], []]
 
 
+def test_a_blocked_shaft_is_named(software: bytes | None) -> None:
+    """By some hundredths of a volt, not as a dead encoder: the switches of the plant are those of the board."""
+    with new_board(software) as board:
+        board.lock_shaft(0)
+        keep_set_points(board)
+        board.run(0.02)
+        board.write("cmd.enable", [1, 0])
+        board.run(0.9)
+        assert faults(board) == [["ROTOR_SEARCH"], []]
+
+
 @pytest.mark.parametrize(("celsius", "expected"), [(84.0, []), (86.0, ["OVER_TEMPERATURE"])])
 def test_the_thermistors(software: bytes | None, celsius: float, expected: list[str]) -> None:
     """The limit of the configuration is 85 deg C."""

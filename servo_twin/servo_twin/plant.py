@@ -390,7 +390,11 @@ def _packaged_table() -> Mapping[str, Any]:
 
 def on_board(table: Mapping[str, Any], board: BoardDescription) -> dict[str, Any]:
     """Table of a plant with the numbers of the board that it does not have."""
-    axis = {"i_full_scale": board.ranges["current"], "dead_time": board.dead_time}
+    axis = {
+        "i_full_scale": board.ranges["current"],
+        "dead_time": board.dead_time,
+        "v_drop": board.switch_drop,
+    }
     axes = {name: {**table[name], **axis, **table[name]} for name in AXIS_NAMES}  # in the order of the file
     bus = {"u_full_scale": board.ranges["bus_voltage"], **table["bus"]}
     return {"pwm_frequency": board.pwm_frequency, **table, **axes, "bus": bus}
