@@ -16,6 +16,7 @@ from servo_msgs_py.units import TICK
 
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.servo_config import servo_table
 from servo_twin.validation.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.plant_limits import over_voltage, top_speed
 from servo_twin.validation.experiments.rig import RPM, largest, set_up, spinning
@@ -38,7 +39,6 @@ FILTER_DELAY: Final = 1.5e-3  # filter of the bus voltage, slow tick [s]
 MARGIN: Final = 0.2  # noise and PWM ripple of the voltage [V]
 CURRENT: Final = 4.0  # current limit of the drive [A]
 BUDGET_SUPPLY: Final = 30.0  # supply above ON [V]
-SHORT_LIMIT: Final = Catalogue.load().full_scale("current")  # of a winding short: range of the shunts [A]
 SLIDE_SPEED: Final = 1450.0 * RPM  # speed above which the short is refused, according to the slide
 INERTIA_FACTOR: Final = (
     8.0  # factor of the inertia, for a slow deceleration compared with the time constant of the winding
@@ -162,8 +162,9 @@ def short_current(axis: AxisPlant, omega: float, *, drops: bool) -> float:
 def refusal_speed(axis: AxisPlant) -> float:
     """Mechanical speed above which the current of the slide exceeds the limit [rad/s]."""
     inductance = 0.5 * (axis.l_d + axis.l_q)
-    margin = axis.psi_m**2 - (SHORT_LIMIT * inductance) ** 2
-    return math.inf if margin <= 0.0 else SHORT_LIMIT * axis.r_s / math.sqrt(margin) / axis.pole_pairs
+    limit = float(servo_table()["defaults"]["stop"]["short_current"])
+    margin = axis.psi_m**2 - (limit * inductance) ** 2
+    return math.inf if margin <= 0.0 else limit * axis.r_s / math.sqrt(margin) / axis.pole_pairs
 
 
 def short(
