@@ -6,7 +6,7 @@ import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -292,7 +292,12 @@ class Catalogue:
 
     def label(self, enum: str, raw: int) -> str:
         """Name of an enumeration value, or the number if it has no name."""
-        return next((name for name, value in self.enums[enum].items() if value == raw), str(raw))
+        return self._labels[enum].get(raw) or str(raw)
+
+    @cached_property
+    def _labels(self) -> dict[str, dict[int, str]]:
+        """Names by value of every enumeration; the first one if several have it."""
+        return {enum: {raw: name for name, raw in reversed(list(names.items()))} for enum, names in self.enums.items()}
 
     def active(self, flags: str, raw: int) -> list[Flag]:
         """Flags that are set in a flag word."""

@@ -90,7 +90,6 @@ class SampleReader:
         self._catalogue = catalogue
         self._axes = [axis_name(axis) for axis in range(AXES)]
         self._lsb = catalogue[f"{self._axes[0]}.position"].lsb
-        self._labels: dict[tuple[int, int], str] = {}
         self._expired = expired_mask(catalogue)
 
     def rows(self, columns: Sequence[str], table: NDArray[np.float64]) -> list[Sample]:
@@ -114,7 +113,8 @@ class SampleReader:
             for axis, counts in zip(self._axes, position, strict=True)
         )
         labels = tuple(
-            self._label(int(values[f"{axis}.state"]), int(values[f"{axis}.substate"])) for axis in self._axes
+            state_label(self._catalogue, int(values[f"{axis}.state"]), int(values[f"{axis}.substate"]))
+            for axis in self._axes
         )
         second, nanosecond = (int(values[name]) for name in topics.STAMP_COLUMNS)
         return Sample(
@@ -130,12 +130,6 @@ class SampleReader:
             home_states=tuple(int(values.get(f"{axis}.home_state", 0.0)) for axis in self._axes),
             values=values,
         )
-
-    def _label(self, state: int, substate: int) -> str:
-        key = state, substate
-        if key not in self._labels:
-            self._labels[key] = state_label(self._catalogue, state, substate)
-        return self._labels[key]
 
 
 class StandstillDetector:

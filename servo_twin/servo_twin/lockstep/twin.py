@@ -115,8 +115,9 @@ class Twin:
         self._catalogue = catalogue or Catalogue.load()
         self._new_board = new_board
         self._attach = attach
-        self._attached = False  # the model is attached to the twin's present board
+        self._detached = False  # the twin's present board has shafts of its own, although there is a model
         self._reader = SampleReader(self._catalogue)
+        self._compared = {v.name: v.lsb for v in self._catalogue.snapshot_variables() if v.name not in PER_BOARD}
         self._commands = AppliedCommands()
         self._resolution = [1] * AXES  # position counts per count of the encoder
         self._rest = StandstillDetector(_ticks(self.settings.rest), self._resolution)
@@ -337,7 +338,7 @@ class Twin:
         difference = self._difference(replica, sample)
         if self._replica is None:
             return None
-        if not difference:
+        if self._detached and not difference:
             self._attach_model(replica, {axis.number: axis.shaft(sample) for axis in self._axes})
         self._last_difference = difference
         if self._bursts.sampling:
@@ -398,7 +399,7 @@ class Twin:
 
     def _switch_on(self, attached: bool = False) -> Replica:
         self._replica = replica = Replica(self._new_board())
-        self._attached = False
+        self._detached = self._attach is not None
         if attached:
             self._attach_model(replica, {})
         self._note_torque(replica)
@@ -410,9 +411,9 @@ class Twin:
         return replica
 
     def _attach_model(self, replica: Replica, shafts: Mapping[int, ShaftPosition]) -> None:
-        """Attach the model of what the shafts move, once; a rotor search needs a free shaft, or one at its start."""
-        if self._attach is not None and not self._attached:
-            self._attached = True
+        """Attach the model of what the shafts move, if any; a rotor search needs a free shaft, or one at its start."""
+        if self._attach is not None:
+            self._detached = False
             self._attach(replica.board, shafts)
 
     def _note_torque(self, replica: Replica) -> None:
@@ -546,11 +547,8 @@ class Twin:
         raw = dict(replica.raw)
         for axis in self._axes:
             raw.update(axis.in_real_coordinates(replica, sample))
-        values = {"tick": float(sample.tick)}
-        for name in sample.values:
-            if name in raw and name not in PER_BOARD:
-                values[name] = raw[name] * self._catalogue[name].lsb
-        return values
+        found = {name: raw[name] * lsb for name in sample.values if (lsb := self._compared.get(name)) is not None}
+        return {"tick": float(sample.tick)} | found
 
 
 def _ticks(seconds: float) -> int:
