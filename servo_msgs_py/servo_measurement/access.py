@@ -20,6 +20,9 @@ from servo_tuning.errors import Remedy
 RECORDER_BYTES: Final = 7680
 """Memory of the recorder of a board [bytes]."""
 
+FAULT: Final = "fault"
+"""What the refusals because of a fault are about."""
+
 TRIGGER_TIMEOUT: Final = 2.0
 """Timeout from the start of a recording to its trigger [s]."""
 
@@ -30,15 +33,18 @@ class MeasurementError(RuntimeError):
     Parameters
     ----------
     text : str
-        Cause, and what is not a value of an option.
-    *remedies : Remedy
-        Changes of options; each of them alone is accepted.
+        Cause.
+    *remedies : Remedy or str
+        Changes of options; each of them alone is accepted. A text is for what is not a value of an option.
+    about : str, optional
+        What is refused, such as the name of a value.
     """
 
-    def __init__(self, text: str, *remedies: Remedy) -> None:
-        changes = ", or ".join(one.text() for one in remedies)
+    def __init__(self, text: str, *remedies: Remedy | str, about: str = "") -> None:
+        changes = ", or ".join(one if isinstance(one, str) else one.text() for one in remedies)
         super().__init__(f"{text}: {changes}" if changes else text)
-        self.remedies = remedies
+        self.remedies = tuple(one for one in remedies if isinstance(one, Remedy))
+        self.about = about
 
 
 @dataclass(frozen=True)
@@ -158,7 +164,7 @@ def refuse_faults(access: BoardAccess, axis: int, *accepted: str) -> None:
     faults = [fault for fault in active if fault.name not in accepted]
     if faults:
         text = "; ".join(f"{fault.name}: {fault.cause}. {fault.remedy}".rstrip(". ") for fault in faults)
-        raise MeasurementError(f"{axis_name(axis)} has a fault. {text}")
+        raise MeasurementError(f"{axis_name(axis)} has a fault. {text}", about=FAULT)
 
 
 @contextmanager

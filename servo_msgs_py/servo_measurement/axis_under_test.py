@@ -200,6 +200,10 @@ class AxisUnderTest:
             if flag.name in (names or _OTHER_MOTION):
                 raise MeasurementError(f"{self.name} is limited. {flag.name}: {flag.cause}. {flag.remedy}".rstrip(". "))
 
+    def is_limited(self, name: str) -> bool:
+        """Whether a limit is active."""
+        return bool(int(self.value("limits")) & self.masks("limits")[name])
+
     def record(self, capture: Capture) -> Trace:
         """Record as `BoardAccess.record`, with the names of the capture without that of the axis.
 

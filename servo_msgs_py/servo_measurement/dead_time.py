@@ -11,6 +11,9 @@ from servo_tuning.errors import higher
 from servo_measurement.access import MeasurementError
 from servo_measurement.motor_values import Limits
 
+BAND: Final = "dead time"
+"""What these refusals are about."""
+
 BAND_MAX: Final = 0.25
 """Largest range in which the voltage lost in a leg depends on its current, relative to the current limit. With 0.28 and
 more, errors of resistance and inductance were 5 % to several times the value."""
@@ -21,7 +24,7 @@ LOST_MIN: Final = 0.7
 BAND_MARGIN: Final = 1.5
 """Margin of a remedy: the range grows with the ripple, and with it the current."""
 
-ESTIMATE_MARGIN: Final = 1.2
+ESTIMATE_MARGIN: Final = 1.5
 """The same for the value of `band_of`, which is an upper estimate."""
 
 
@@ -54,16 +57,16 @@ def check_band(band: float, estimate: float, current: float, limits: Limits, max
     needed = (BAND_MARGIN * band if left else ESTIMATE_MARGIN * max(band, estimate)) / BAND_MAX
     text = f"phase currents up to {band:.2g} A vanish in the dead time of the switches"
     if current < limits.current:
-        raise MeasurementError(f"{text}, and {current:.2g} A take the voltage: the board cannot measure this winding")
+        text = f"{text}, and {current:.2g} A take the voltage: the board cannot measure this winding"
+        raise MeasurementError(text, about=BAND)
     if needed < maximum:
-        raise MeasurementError(text, higher("--current", min(rounded_up(needed), maximum)))
-    remedy = "a supply of a lower voltage, or add inductance to the motor cable"
+        raise MeasurementError(text, higher("--current", min(rounded_up(needed), maximum)), about=BAND)
+    others = "use a supply of a lower voltage", "add inductance to the motor cable"
     if limits.current < maximum:
-        raise MeasurementError(
-            f"{text}: use more current, {remedy}; whether the {maximum:g} A of the board are enough cannot be told with"
-            f" {current:.2g} A"
-        )
-    raise MeasurementError(f"{text}: {maximum:g} A, the largest current of the board, are not enough; use {remedy}")
+        untold = f"whether the {maximum:g} A of the board are enough cannot be told with {current:.2g} A"
+        raise MeasurementError(f"{text}, and {untold}", "use more current", *others, about=BAND)
+    text = f"{text}, and {maximum:g} A, the largest current of the board, are not enough"
+    raise MeasurementError(text, *others, about=BAND)
 
 
 def band_of(slope: float, lost_voltage: float) -> float:

@@ -36,8 +36,11 @@ FLUX_UNCERTAINTY: Final = 0.1
 SALIENT_MIN: Final = 0.05
 """Smallest relative difference of the inductances along and across the vector that shows a rotor off the vector."""
 
+FAST_OVER_SLOW: Final = 1.4
+"""Smallest ratio of the speeds of two rotating vectors that separates their voltages."""
+
 FOLLOW_TOLERANCE: Final = 0.15
-"""Relative tolerance of the mean speed of a shaft that oscillates about a rotating vector."""
+"""Relative tolerance of the mean speed of a shaft that oscillates about a rotating vector, and of the vector."""
 
 
 def _columns(log: MeasurementLog, point: str) -> tuple[str, str, str]:
@@ -105,9 +108,11 @@ def _speeds(recording: Trace, name: str) -> tuple[float, float]:
 
 
 def shaft_follows(recording: Trace, name: str, pairs: float) -> bool:
-    """Whether the shaft follows a rotating vector; `pairs`: number of pole pairs."""
+    """Whether the shaft follows a rotating vector, and the voltage is enough for it; `pairs`: number of pole pairs."""
     electrical, shaft = _speeds(recording, name)
-    return abs(shaft * pairs - electrical) < FOLLOW_TOLERANCE * abs(electrical)
+    along, across = (mean_of(recording[f"{name}.{key}"])[0] for key in ("i_d", "i_q"))
+    controlled = abs(across) < FOLLOW_TOLERANCE * abs(along)
+    return controlled and abs(shaft * pairs - electrical) < FOLLOW_TOLERANCE * abs(electrical)
 
 
 def swing_of(recording: Trace, name: str, pairs: float) -> float:
@@ -117,30 +122,34 @@ def swing_of(recording: Trace, name: str, pairs: float) -> float:
     return float(np.std(np.unwrap(angle[usable]) - pairs * position[usable]))
 
 
-def check_on_vector(l_d: Estimate, l_q: Estimate, current: float) -> None:
-    """Check that a rotor that is not blocked lies on the vector that holds it.
+def lies_on_vector(l_d: Estimate, l_q: Estimate) -> bool:
+    """Whether a rotor that is not blocked lies on the vector that holds it; inductances along and across it [H].
 
     Above ``psi_m / (l_q - l_d)`` its reluctance turns it off the vector. There the inductance along the vector is the
     larger one.
+    """
+    return l_d.interval[0] <= (1.0 + SALIENT_MIN) * l_q.interval[1]
+
+
+def current_on_vector(along: float, across: float, held: float, flux: float, current: float) -> float:
+    """Current above which the reluctance of a rotor turns it off the vector, from measurements above it [A].
+
+    At the angle a to the vector the torques balance: ``cos a = psi_m / ((l_q - l_d) i)``. The difference of the
+    inductances along and across the vector is then ``(l_d - l_q) cos 2a``, and the whole flux along it ``l_q i``.
 
     Parameters
     ----------
-    l_d, l_q : Estimate
-        Along and across the vector [H].
+    along, across : float
+        Inductances along and across the vector [H].
+    held : float
+        Current with which they were measured [A].
+    flux : float
+        Flux along a rotating vector, without that of its current in the inductance `along` [V s].
     current : float
-        Of the vector [A].
-
-    Raises
-    ------
-    MeasurementError
-        If the rotor is off the vector.
+        Of that vector [A].
     """
-    if l_d.interval[0] > (1.0 + SALIENT_MIN) * l_q.interval[1]:
-        raise MeasurementError(
-            f"the reluctance of the rotor turns it off a current vector of {current:.2g} A: the inductance is"
-            f" {l_d.value:.3g} H along the vector and {l_q.value:.3g} H across it; lower --current. The largest one"
-            " with which it stays on the vector cannot be told"
-        )
+    part = flux / current  # (l_q - l_d) cos^2 a at the current `held` [H]
+    return held * math.sqrt(part / (along - across + 2.0 * part))
 
 
 def friction_angle_of(log: MeasurementLog, pairs: float) -> float:
@@ -173,11 +182,19 @@ def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate
             "the shaft does not follow a rotating vector: it is blocked, or the current is too small for its friction"
             " or inertia"
         )
-    means = [mean_of(one[f"{name}.u_q"])[0] for one in fast]
-    current = mean_of(fast[0][f"{name}.i_d"])[0]
-    induced = (means[0] - means[1]) / (speeds[0] - speeds[1]) - l_d * current
+    # the lost voltage lags the current, by a voltage that is the same at all of these speeds
+    slow = [one for one in log.labelled("turn_slow") if shaft_follows(one, name, pairs)]
+    points = np.array([(_speeds(one, name)[0], mean_of(one[f"{name}.u_q"])[0]) for one in slow + fast])
+    columns = [points[:, 0]]
+    if abs(speeds[0]) > FAST_OVER_SLOW * abs(points[0, 0]):
+        columns.append(np.sign(points[:, 0]))
+    total = float(np.linalg.lstsq(np.column_stack(columns), points[:, 1], rcond=None)[0][0])
+    induced = total - l_d * mean_of(fast[0][f"{name}.i_d"])[0]
     if not induced > 1e-4:
-        raise MeasurementError("the rotating rotor induces no voltage: it has no magnets, or a wire is open")
+        raise MeasurementError(
+            "the rotating rotor induces no voltage that differs from that of the switches: it has no magnets, or a wire"
+            " is open"
+        )
     return {"psi_m": Estimate(induced, FLUX_UNCERTAINTY * induced)}
 
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue, axis_name
-from servo_msgs_py.units import TICK
+from servo_msgs_py.units import PERIOD, TICK
 from servo_tuning import remedies
 from servo_tuning.braking import BUS_END
 from servo_tuning.errors import ConfigError, Problem, Remedy, Table
+from servo_tuning.gains import current_bandwidth_min
 from servo_tuning.members import MEMBERS
+from servo_tuning.motor import Motor
 from servo_tuning.reading import parse
 from servo_tuning.remedies import refusal_of
 from servo_tuning.rotor_search import SALIENT_USE
@@ -41,6 +44,10 @@ SPEED_BANDWIDTHS: Final = (75.0, 60.0, 45.0, 30.0, 20.0, 12.0, 8.0, 5.0)
 
 SLOW_LOOPS_SPEED_BANDWIDTH: Final = 12.0  # [Hz]
 SLOW_LOOPS_CURRENT_BANDWIDTH: Final = 300.0  # [Hz]
+CURRENT_BANDWIDTH: Final = 1000.0  # of any other loops, and of a shaft with an unknown inertia [Hz]
+VERIFY_TIME_UNKNOWN: Final = 0.6
+"""Duration of the verification of a rotor search with an unknown inertia [s]: the longest period of a shaft that has
+followed the rotating vector."""
 VERIFY_MOVES: Final = 7.0  # angle of the verification of a rotor search, relative to the smallest movement
 PHASE_MIN: Final = 50.0  # of the speed loop [degrees]
 _CHOSEN: Final = (
@@ -174,7 +181,7 @@ def fitted(
     motor: Mapping[str, float],
     *,
     slow_loops: bool = False,
-    verify_time: float = 0.0,
+    inertia_known: bool = True,
     attend: Callable[[], None] = lambda: None,
 ) -> Table:
     """The same with the highest bandwidths possible for this motor; values in SI by name.
@@ -185,8 +192,9 @@ def fitted(
     ----------
     slow_loops : bool
         Low bandwidths, which amplify the noise of currents and speed less.
-    verify_time : float
-        Smallest duration of the verification of a rotor search [s].
+    inertia_known : bool
+        Whether the inertia is not a guess: a heavier shaft swings more slowly, and a lighter one exchanges more energy
+        with the winding, which a fast current loop damps.
     attend : callable, optional
         Called before each configuration that is tried: the search takes up to a second, a board waits less for its
         host.
@@ -197,18 +205,22 @@ def fitted(
         If no bandwidth is possible; the cause is the one of the lowest bandwidth.
     """
     problem: ConfigError | None = None
+    current = SLOW_LOOPS_CURRENT_BANDWIDTH if slow_loops and inertia_known else CURRENT_BANDWIDTH
+    fields = {field.name: motor[field.name] for field in dataclasses.fields(Motor)}
+    current = max(current, current_bandwidth_min(Motor(**fields), 1.0 / PERIOD))
     for bandwidth in SPEED_BANDWIDTHS:
         if slow_loops and bandwidth > SLOW_LOOPS_SPEED_BANDWIDTH:
             continue
         control = {
-            "current_bandwidth": SLOW_LOOPS_CURRENT_BANDWIDTH if slow_loops else 1000.0,
+            "current_bandwidth": current,
             "speed_bandwidth": bandwidth,
             "position_gain": 0.8 * bandwidth,
             "observer_bandwidth": max(bandwidth, 10.0),
         }
         table = configured(base, axis, limits, motor, control=control)
-        search = table.get("defaults", {}).get("rotor_search", {}) | table[axis_name(axis)]["rotor_search"]
-        table[axis_name(axis)]["rotor_search"]["verify_time"] = max(search["verify_time"], verify_time)
+        if not inertia_known:
+            search = table.get("defaults", {}).get("rotor_search", {}) | table[axis_name(axis)]["rotor_search"]
+            table[axis_name(axis)]["rotor_search"]["verify_time"] = max(search["verify_time"], VERIFY_TIME_UNKNOWN)
         try:
             fit, design = corrected(table, axis, attend)
         except ConfigError as error:

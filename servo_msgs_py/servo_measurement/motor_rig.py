@@ -29,6 +29,7 @@ PROTECTION: Final = "protection"
 _REVOLUTIONS_MIN: Final = 3.0  # in each direction: rotation by a rotating vector with one pole pair
 LATENCY: Final = 0.1
 """Communication time on a serial line during which a shaft continues to rotate [s]."""
+_ROOM_RUNS: Final = 3  # largest number of runs to the middle of the limits
 STOPPED: Final = 0.1  # wait after the set-point has reached 0 [s]
 SPEED_MIN: Final = 5.0  # [rad/s]
 VOLTAGE_TOLERANCE: Final = 0.2  # largest relative difference of bus voltage and --voltage
@@ -96,15 +97,18 @@ class MotorRig(AxisUnderTest):
         if not limit.minimum <= current <= limit.maximum:
             bound = higher("--current", limit.minimum) if current < limit.minimum else lower("--current", limit.maximum)
             span = f"{limit.minimum:g} .. {limit.maximum:g} A"
-            raise MeasurementError(f"--current {current:g} is outside the range of the board, {span}", bound)
+            raise MeasurementError(
+                f"--current {current:g} is outside the range of the board, {span}", bound, about="current"
+            )
         if self.limits.speed < SPEED_MIN:
             raise MeasurementError(
-                f"{self.limits.speed:g} rad/s is too slow for the test", higher("--speed-max", SPEED_MIN)
+                f"{self.limits.speed:g} rad/s is too slow for the test", higher("--speed-max", SPEED_MIN), about="speed"
             )
         volts, nominal = self.access.read("u_dc")[0], self.limits.voltage
         if abs(volts / nominal - 1.0) > VOLTAGE_TOLERANCE:
             text = f"the bus voltage is {volts:.3g} V, --voltage is {nominal:g} V: check the supply"
-            raise MeasurementError(f"{text}, or correct --voltage", exactly("--voltage", float(f"{volts:.3g}")))
+            remedy = exactly("--voltage", float(f"{volts:.3g}"))
+            raise MeasurementError(f"{text}, or correct --voltage", remedy, about="voltage")
         before, now = (board["over_voltage"] for board in (self._base["board"], supply(self._base["board"], nominal)))
         if now > before:
             self.report(
@@ -133,7 +137,7 @@ class MotorRig(AxisUnderTest):
         if turns < _REVOLUTIONS_MIN * (1.0 - 1e-6):
             text = f"{max(turns, 0.0):.3g} revolutions in each direction are too few, required are {_REVOLUTIONS_MIN:g}"
             if self.limits.turns < _REVOLUTIONS_MIN:
-                raise MeasurementError(text, higher("--turns-max", _REVOLUTIONS_MIN))
+                raise MeasurementError(text, higher("--turns-max", _REVOLUTIONS_MIN), about="turns")
             raise MeasurementError(f"{text}: widen param.position_min and param.position_max")
         self.limits = dataclasses.replace(self.limits, speed=speed, turns=turns)
 
@@ -160,26 +164,29 @@ class MotorRig(AxisUnderTest):
         """Distance from the middle of the limits to each of them [rad]."""
         return 0.5 * (self._high - self._low)
 
-    @property
-    def way_to_middle(self) -> float:
-        """Distance to the middle of the limits, negative downwards [rad]."""
-        return 0.5 * (self._low + self._high) - self.value("position")
+    def make_room(self, below: float, above: float, speed: float, acceleration: float) -> None:
+        """Wait until the shaft is held at rest; run to the middle of the limits if one is nearer than its room [rad].
 
-    def make_room(self, room: float, speed: float, acceleration: float) -> None:
-        """Wait until the shaft is held at rest; run to the middle of the limits if one is nearer than `room` [rad].
-
-        A bus that takes no energy delays the stop. The recordings do not end where they began; slow ramps add up.
+        The recordings do not end where they began; slow ramps add up. With a bus that takes no energy the shaft coasts:
+        from the distance of the first run it is known how far.
         """
-        self.wait_for_rest(HELD_SPEED)
-        if self.free_travel > room:
-            return
-        way = self.way_to_middle
-        top = min(speed, math.sqrt(abs(way) * acceleration))
-        self.command("cmd.speed", math.copysign(top, way))
-        self.wait(abs(way) / top)
-        self.command("cmd.speed", 0.0)
-        self.wait(top / acceleration + STOPPED)
-        self.wait_for_rest(HELD_SPEED)
+        coasting = 0.0  # distance over the square of the speed [s^2/rad]
+        for _ in range(_ROOM_RUNS):
+            self.wait_for_rest(HELD_SPEED)
+            position = self.value("position")
+            if position - self._low >= below and self._high - position >= above:
+                return
+            way = 0.5 * (self._low + self._high) - position
+            top = min(speed, math.sqrt(abs(way) * acceleration))
+            if coasting:
+                top = min(top, math.sqrt(0.5 * abs(way) / coasting))
+            driven = abs(way) - coasting * top**2
+            self.command("cmd.speed", math.copysign(top, way))
+            self.wait(driven / top)
+            self.command("cmd.speed", 0.0)
+            self.wait(top / acceleration + STOPPED)
+            self.wait_for_rest(HELD_SPEED)
+            coasting = max(abs(self.value("position") - position) - driven, 0.0) / top**2
 
     def enable_monitors_except(self, monitors: int, *faults: str) -> None:
         """Enable these monitors except for some faults; monitors disabled for a simulated board remain off."""
@@ -227,11 +234,17 @@ class MotorRig(AxisUnderTest):
         self._send(table, {})
         self._features()
 
-    def fitted(self, motor: Mapping[str, float], verify_time: float = 0.0) -> Table:
-        """``servo.toml`` with the bandwidths possible for a motor; its values in SI by name, `verify_time` in s."""
+    def fitted(self, motor: Mapping[str, float], *, inertia_known: bool) -> Table:
+        """``servo.toml`` with the bandwidths possible for a motor; its values in SI by name."""
         try:
             return fitted(
-                self._base, self.axis, self.limits, motor, slow_loops=True, verify_time=verify_time, attend=self.attend
+                self._base,
+                self.axis,
+                self.limits,
+                motor,
+                slow_loops=True,
+                inertia_known=inertia_known,
+                attend=self.attend,
             )
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None

@@ -13,7 +13,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
@@ -24,21 +24,23 @@ from servo_tuning.rotor_search import FRICTION_USE, SALIENT_USE
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
-from servo_measurement.dead_time import LOST_MIN, band_of, check_band, rounded_down, rounded_up
+from servo_measurement.dead_time import BAND_MAX, LOST_MIN, band_of, check_band, rounded_down, rounded_up
 from servo_measurement.estimation import (
     BAND,
     FLUX_CURRENT_TIME,
     PLAIN_TIME,
-    check_on_vector,
+    current_on_vector,
     flux_of,
     friction_angle_of,
     inductances_of,
+    lies_on_vector,
     resistance_of,
     rotation_of,
     shaft_follows,
     swing_of,
 )
 from servo_measurement.log import LoggedAccess, MeasurementLog
+from servo_measurement.motor_config import SPEED_USE
 from servo_measurement.motor_rig import (
     COMMAND_TIMEOUT,
     LATENCY,
@@ -67,11 +69,13 @@ TURN: Final = "turn"
 PULSES: Final = "pulses"
 """Stages that a simulation of the measurement can omit: they begin and end at rest."""
 ROUNDS: Final = 7
+INDUCTANCE_PART: Final = 0.3  # largest half interval of the first inductance, relative to its value
 EXPLAINED_MIN: Final = 0.9  # part of the current explained by a response that is above the noise
 LOOP: Final = 400.0  # bandwidth of the current loop with known inductance [Hz]
 TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
 """Speeds, tried in this order until the rotor follows."""
+TURN_USE: Final = 0.5  # mean speed of a shaft that swings about the vector, relative to its largest one
 TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
 TURN_GENTLE: Final = 30.0
 """The same for a heavy rotor [rad/s^2], which swings about the vector for seconds after a ramp."""
@@ -79,18 +83,18 @@ TURN_EVERY: Final = 2  # slow ticks per sample
 TURN_EVERY_GENTLE: Final = 8  # the same for a heavy rotor: the mean speed of several swings
 TURN_FAST_SAMPLES: Final = 250
 SWING_MAX: Final = 0.25  # largest standard deviation of the swing of a light rotor, electrical [rad]
-FRICTION_MARGIN: Final = 1.2
-"""Margin of the current with which friction is small enough for a rotor search."""
+CURRENT_MARGIN: Final = 1.2  # of a current that is named to be enough
 TURN_SETTLE: Final = 0.1  # [s]
-PULSE: Final = 0.5  # relative to the current limit
+PULSE: Final = 0.5
+"""Current of a pulse that turns a shaft with any inertia, relative to the current limit."""
+PULSE_FIRST: Final = 0.05  # current of the first pulse beyond the friction, relative to the current limit
+PULSE_GROWTH: Final = 2.0  # of the current, from pulse to pulse
+PULSE_TIME: Final = 0.1  # longest pulse with less than `PULSE` [s]
 PULSE_SPEED: Final = 0.5  # speed limit of the board during the pulses, relative to the largest speed
 PULSE_MAX: Final = 1.5  # [s]
 MOVED: Final = 0.03  # smallest movement of a shaft that is not blocked [rad]
 BRAKE_TIME: Final = 0.15  # time constant of the deceleration after a pulse [s]
 SPEEDS: Final = (0.3, 0.6, 1.0)
-VERIFY_TIME_UNKNOWN: Final = 0.6
-"""Duration of the verification of a rotor search with an unknown inertia [s]: the longest period of a shaft that has
-followed the rotating vector."""
 SEARCH_PAUSE: Final = 0.5
 """Wait between the rotor search and the first run [s], because a simulated search can take longer."""
 FLUX_CURRENT: Final = 0.4  # d-axis current at constant speed, relative to the limit
@@ -147,7 +151,11 @@ class MotorTest:
         self.log.notes["limits"] = dataclasses.asdict(limits)
         self._rig = MotorRig(LoggedAccess(access, self.log), axis, limits, base, report)
         self._values: dict[str, Estimate] = {}
+        self._smallest = 0.0  # current with which the dead time does not hide the winding [A]
+        self._resistance = 0.0  # of winding and switch, from two currents [ohm]
         self._band = 0.0  # range of sign changes if it contains all phase currents [A]
+        self._coasts = False  # whether the bus takes no energy, so that only friction stops the shaft
+        self._friction_current = 0.0  # that turns a shaft against its friction, from the rotating vector [A]
         self._current = limits.current  # largest current, reduced if the resistive voltage drop is too large [A]
 
     # ---- interface ------------------------------------------------------------------------------------------
@@ -235,7 +243,7 @@ class MotorTest:
         first, second = (self._held_at(part * current) for part in (VECTOR_LOW, VECTOR))
         # the difference does not contain the voltage lost by dead time and switches
         r = max((second[1] - first[1]) / (second[0] - first[0]), RESISTANCE_MIN)
-        self._band = band_of(r, rig.lost_voltage)
+        self._resistance, self._band = r, band_of(r, rig.lost_voltage)
         voltage_max = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0)
         current = self._current = min(rig.limits.current, voltage_max / r)
         self.log.notes["current"] = current
@@ -260,7 +268,7 @@ class MotorTest:
         rig.wait(0.1)
         rig.sweep("sweep_d_low", "d", SWEEP_LOW * current)
         smallest = 0.5 * (VECTOR_LOW - SWEEP_LOW) * current
-        self.log.notes["comparable"] = smallest > self._dead_time_change(self._values["l_d"].value)
+        self.log.notes["comparable"] = smallest > found.band
         self.log.notes["bias"] = {"l_d": VECTOR * current, "l_d_low": VECTOR_LOW * current}
 
     def _first_inductance(self, r: float) -> None:
@@ -272,16 +280,17 @@ class MotorTest:
             recording = rig.sweep("first", "d", SWEEP["d"] * self._current)
             try:
                 fit = impedance([recording], names, r, BAND["d"], delay=0.5 * PERIOD, any_resistance=True)
-                found, explained = fit.inductance, fit.explained > EXPLAINED_MIN
+                found, share = fit.inductance, fit.explained
             except (ValueError, np.linalg.LinAlgError):
-                found, explained = Estimate(kp / (2.0 * math.pi * LOOP), math.inf), False
-            known = explained and found.part < 0.3
+                found, share = Estimate(kp / (2.0 * math.pi * LOOP), math.inf), 0.0
+            explained = share > EXPLAINED_MIN
+            known = explained and found.part < INDUCTANCE_PART
             if explained and not known:
                 self._refuse_small_current()
-                raise MeasurementError(
-                    f"the inductance is hidden with {self._current:.3g} A by the dead time of the switches: use more"
-                    " current, or a lower bus voltage"
-                )
+                text = f"the inductance is hidden with {self._current:.3g} A by the dead time of the switches"
+                self._refuse_signal(text, found.part / INDUCTANCE_PART, "use a supply of a lower voltage")
+            if not known and kp == FIRST_KP:  # before the gain is raised: within the range a loop with more oscillates
+                self._refuse_small_current(certain=True)
             gain = 2.0 * math.pi * LOOP * found.value if known else 3.0 * kp
             # an integral part faster than the loop would make it oscillate
             rig.configure(gain, gain * min(r / max(found.value, 1e-6), math.pi * LOOP), live=True)
@@ -289,27 +298,44 @@ class MotorTest:
                 return
             kp = gain
         self._refuse_small_current()
-        raise MeasurementError(
-            f"the current does not respond to a test signal of {SWEEP['d'] * self._current:.2g} A: check the connection"
-            " of all three motor wires, or use more current"
-        )
+        text = f"the current does not respond to a test signal of {SWEEP['d'] * self._current:.2g} A"
+        # noise is what is not explained; its power relative to the response falls with the square of the current
+        noise = (1.0 - share) / max(share, 1e-3) * EXPLAINED_MIN / (1.0 - EXPLAINED_MIN)
+        self._refuse_signal(text, math.sqrt(noise), "check the connection of all three motor wires")
 
-    def _refuse_small_current(self) -> None:
-        """Raise an error if a too small current is the reason why a test signal has no result."""
+    def _refuse_signal(self, text: str, factor: float, other: str) -> NoReturn:
+        """Refuse a test signal that is too small by a factor, with the current that is enough, if there is one."""
+        rig = self._rig
+        current = rounded_up(CURRENT_MARGIN * factor * self._current)
+        needed = current * self._resistance * math.sqrt(3.0) / VOLTAGE_USE
+        if current > rig.access.catalogue["param.i_q_limit"].maximum or needed > rig.limits.voltage:
+            text = f"{text}, and {current:.3g} A, which could be enough, are beyond the board or its voltage"
+            raise MeasurementError(text, other, about="test signal")
+        raise MeasurementError(text, higher("--current", current), other, about="test signal")
+
+    def _refuse_small_current(self, *, certain: bool = False) -> None:
+        """Raise an error if a too small current is the reason why a test signal has no result.
+
+        Parameters
+        ----------
+        certain : bool
+            Only if the phase currents have not left the range of their sign changes.
+        """
         self._levels(settle=0.3)
         found = resistance_of(self.log)
-        self._check_band(dataclasses.replace(found, band=max(found.band, self._band)))
+        if not certain or not self._is_complete(found):
+            self._check_band(dataclasses.replace(found, band=max(found.band, self._band)))
+
+    def _is_complete(self, found: Ohmic) -> bool:
+        """Whether a fit has found the lost voltage; within the range it takes its slope for a resistance."""
+        return found.lost.value > LOST_MIN * self._rig.lost_voltage
 
     def _check_band(self, found: Ohmic) -> None:
         rig = self._rig
-        # within the range the fit takes the slope of the lost voltage for a resistance
-        complete = found.lost.value > LOST_MIN * rig.lost_voltage
         maximum = rig.access.catalogue["param.i_q_limit"].maximum
+        complete = self._is_complete(found)
+        self._smallest = found.band / BAND_MAX
         check_band(found.band, self._band, self._current, rig.limits, maximum, complete=complete)
-
-    def _dead_time_change(self, inductance: float) -> float:
-        """Change of a phase current by the bus voltage in a dead time [A]; `inductance` [H]."""
-        return self._rig.limits.voltage * self._rig.dead_time / inductance
 
     def _levels(self, settle: float = 0.06) -> None:
         rig = self._rig
@@ -329,13 +355,15 @@ class MotorTest:
             self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW, TURN_RAMP)
         r = self._values["r_s"].value + rig.limits.r_on
         self._values.update(rotation_of(self.log, r))
-        check_on_vector(self._values["l_d"], self._values["l_q"], VECTOR * self._current)
         pairs = self._values["pole_pairs"].value
         travel_max = 2.0 * math.pi * rig.limits.turns * pairs
         slow = self.log.labelled("turn_slow")
         swings = max(swing_of(one, rig.name, pairs) for one in slow) > SWING_MAX
         ramp, every = (TURN_GENTLE, TURN_EVERY_GENTLE) if swings else (TURN_RAMP, TURN_EVERY)
-        for electrical in TURN_FAST:
+        # the vector was limited as if it turned a shaft with one pole pair
+        limit = min(TURN_USE * pairs * rig.limits.speed, rig.access.catalogue["param.speed_limit"].maximum)
+        rig.write("param.speed_limit", limit / NOMINAL["pole_pairs"])
+        for electrical in sorted({min(speed, limit) for speed in TURN_FAST}, reverse=True):
             seconds = TURN_SETTLE + TURN_FAST_SAMPLES * every * TICK + LATENCY
             if electrical**2 / ramp + electrical * seconds > travel_max:
                 continue
@@ -345,33 +373,58 @@ class MotorTest:
             ]
             if all(shaft_follows(one, rig.name, pairs) for one in recordings):
                 break
-        self._values.update(flux_of(self.log, self._values["l_d"].value, pairs))
-        self._check_friction(friction_angle_of(self.log, pairs))
+        try:
+            self._values.update(flux_of(self.log, self._values["l_d"].value, pairs))
+        except MeasurementError as error:
+            if limit >= TURN_FAST[0]:
+                raise
+            raise MeasurementError(
+                f"{error}, or {rig.limits.speed:.3g} rad/s are too slow",
+                higher("--speed-max", rounded_up(TURN_FAST[0] / (TURN_USE * pairs))),
+                about="flux",
+            ) from None
+        self._check_on_vector()
+        angle = friction_angle_of(self.log, pairs)
+        self._check_friction(angle)
+        self._friction_current = self._current * math.sin(angle)
         rig.access.stage = ""
         rig.command("cmd.i_q", 0.0)
         rig.wait(0.05)
         rig.off()
+
+    def _check_on_vector(self) -> None:
+        along, across = self._values["l_d"], self._values["l_q"]
+        if lies_on_vector(along, across):
+            return
+        held, flux = VECTOR * self._current, self._values["psi_m"].value
+        largest = SALIENT_USE * current_on_vector(along.value, across.value, held, flux, self._current)
+        text = (
+            f"the reluctance of the rotor turns it off a current vector of {held:.2g} A: the inductance is"
+            f" {along.value:.3g} H along the vector and {across.value:.3g} H across it"
+        )
+        if largest < self._smallest:
+            text = f"{text}, and below {self._smallest:.2g} A the dead time hides the winding"
+            raise MeasurementError(text, "add inductance to the motor cable", about="reluctance")
+        raise MeasurementError(text, lower("--current", rounded_down(largest)), about="reluctance")
 
     def _check_friction(self, angle: float) -> None:
         """Check the angle by which friction holds the rotor off the vector [rad, electrical]: a search needs less."""
         if angle <= FRICTION_USE:
             return
         rig = self._rig
-        current = rounded_up(FRICTION_MARGIN * angle / FRICTION_USE * self._current)
+        current = rounded_up(CURRENT_MARGIN * angle / FRICTION_USE * self._current)
         text = f"friction holds the rotor {angle:.2g} rad (electrical) off a current vector of {self._current:.3g} A"
         saliency = self._values["l_q"].value - self._values["l_d"].value
         largest = SALIENT_USE * self._values["psi_m"].value / saliency if saliency > 0.0 else math.inf
         if current > largest:
-            raise MeasurementError(
-                f"{text}, and above about {largest:.2g} A the reluctance of the rotor does: reduce the friction"
-            )
+            text = f"{text}, and above about {largest:.2g} A the reluctance of the rotor does"
+            raise MeasurementError(text, "reduce the friction", about="friction")
         needed = current * (self._values["r_s"].value + rig.limits.r_on) * math.sqrt(3.0) / VOLTAGE_USE
         maximum = rig.access.catalogue["param.i_q_limit"].maximum
         if current > maximum or needed > rig.limits.voltage:
-            raise MeasurementError(
-                f"{text}, and {current:.3g} A are beyond the board or its voltage: reduce the friction"
-            )
-        raise MeasurementError(text, higher("--current", current))
+            text = f"{text}, and {current:.3g} A are beyond the board or its voltage"
+            raise MeasurementError(text, "reduce the friction", about="friction")
+        raise MeasurementError(text, higher("--current", current), about="friction")
 
     def _spin(self) -> None:
         rig = self._rig
@@ -386,7 +439,7 @@ class MotorTest:
             "friction": 0.02 * torque,
             "viscous": 0.0,
         }
-        rig.configure_for(rig.fitted(motor, VERIFY_TIME_UNKNOWN))
+        rig.configure_for(rig.fitted(motor, inertia_known=False))
         rig.mode("TORQUE")
         rig.write("param.speed_limit", PULSE_SPEED * self._speed_max())
         rig.command("cmd.i_q", 0.0)
@@ -396,7 +449,7 @@ class MotorTest:
         rig.access.stage = ""
         motor |= {"inertia": inertia, "friction": min(max(coulomb, 0.0), 0.5 * torque)}
         rig.report("running at several speeds")
-        table = rig.fitted(motor)
+        table = rig.fitted(motor, inertia_known=True)
         rig.configure_for(table)
         for name in ("speed", "acceleration"):
             rig.write(f"param.{name}_limit", table[rig.name]["limits"][name])
@@ -404,33 +457,42 @@ class MotorTest:
         rig.command("cmd.speed", 0.0)
         rig.search_rotor()
         rig.wait(SEARCH_PAUSE)
-        self._speeds(table[rig.name]["limits"], inertia)
+        limits = table[rig.name]["limits"]
+        braking = min(limits["acceleration"], max(coulomb, 0.01 * torque) / inertia)
+        self._speeds(limits, inertia, braking if self._coasts else limits["acceleration"])
         rig.off()
 
     def _pulses(self, motor: Mapping[str, float]) -> tuple[float, float]:
         """Inertia and Coulomb friction from torque in both directions."""
         rig = self._rig
-        part, travel_max = PULSE, 0.25 * rig.limits.turns * 2.0 * math.pi
-        target = 0.25 * self._speed_max()
-        for _ in range(3):
+        travel_max, target = 0.25 * rig.limits.turns * 2.0 * math.pi, 0.25 * self._speed_max()
+        # upwards, because a light shaft runs away with the current that a heavy one needs
+        part = min(self._friction_current / rig.limits.current + PULSE_FIRST, PULSE)
+        while True:
+            current, longest = part * rig.limits.current, PULSE_TIME if part < PULSE else PULSE_MAX
             start, begin = rig.value("position"), rig.access.read("tick")[0]
-            rig.command("cmd.i_q", part * rig.limits.current)
+            rig.command("cmd.i_q", current)
             seconds = reached = moved = 0.0
-            while seconds < PULSE_MAX and moved < travel_max and (reached < target or moved < MOVED):
+            while seconds < longest and moved < travel_max and (reached < target or moved < MOVED):
                 rig.wait(0.002)
                 reached = abs(rig.value("speed"))
                 seconds = ((rig.access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
                 moved = abs(rig.value("position") - start)
+            pushing, slowed = abs(rig.value("i_q")), rig.is_limited("SPEED")
             rig.command("cmd.i_q", 0.0)
             refuse_faults(rig.access, rig.axis)
-            if moved >= MOVED:
+            braking = current * seconds / (max(reached, 1.0) * BRAKE_TIME)
+            self._brake(braking, current)
+            if moved >= MOVED and (reached >= target or part >= PULSE):
                 break
-            part *= 1.4
-        else:
-            raise MeasurementError("the shaft does not move at full torque: it is blocked, or the load is too large")
-        current = part * rig.limits.current
-        braking = current * seconds / (max(reached, 1.0) * BRAKE_TIME)
-        self._brake(braking, current)
+            if part >= 1.0 and slowed:
+                first = self._friction_current + PULSE_FIRST * rig.limits.current
+                self._refuse_slow(min(PULSE * rig.limits.current, CURRENT_MARGIN * first) / max(pushing, 1e-3))
+            if part >= 1.0:
+                raise MeasurementError(
+                    "the shaft does not move at full torque: it is blocked, or the load is too large"
+                )
+            part = min(PULSE_GROWTH * part, PULSE if part < PULSE else 1.0)
         seconds = max(seconds, 0.01)
         every = max(math.ceil(4.5 * seconds / TICK / rig.capacity(_SPIN)), 1)
         samples = max(int(2.2 * seconds / TICK / every), 12)
@@ -457,6 +519,13 @@ class MotorTest:
             )
         return found.value, coulomb.value
 
+    def _refuse_slow(self, factor: float) -> None:
+        """Refuse a speed limit near which the board leaves too little current, if it can be raised by a factor."""
+        speed = rounded_up(factor * self._rig.limits.speed)
+        if speed <= min(self._speed_of_voltage(), self._rig.access.catalogue["param.speed_limit"].maximum):
+            text = "the shaft does not move with the current that the board permits near the speed limit"
+            raise MeasurementError(text, higher("--speed-max", speed), about="speed limit")
+
     def _brake(self, gain: float, maximum: float) -> None:
         """Stop the shaft by torque.
 
@@ -474,10 +543,11 @@ class MotorTest:
                 break
             rig.command("cmd.i_q", -math.copysign(min(gain * abs(speed), maximum), speed))
             rig.wait(0.005)
+            self._coasts = self._coasts or rig.is_limited("REGENERATION")
         rig.command("cmd.i_q", 0.0)
         rig.wait_for_rest()
 
-    def _speeds(self, limits: Mapping[str, float], inertia: float) -> None:
+    def _speeds(self, limits: Mapping[str, float], inertia: float, deceleration: float) -> None:
         rig = self._rig
         acceleration = limits["acceleration"]
         maximum = min(limits["speed"], self._speed_max(), rig.limits.speed / OVERSHOOT)
@@ -487,18 +557,24 @@ class MotorTest:
         # each recording begins and ends at rest, and the direction alternates
         travel_max = ROOM_USE * rig.travel
         longest = max(SETTLE + PLAIN_TIME, SETTLE_HOLD + FLUX_CURRENT_TIME) + LATENCY
-        while maximum * longest + maximum**2 / acceleration > travel_max:
+        per_square = 0.5 / acceleration + 0.5 / deceleration
+        while (room := maximum * longest + maximum**2 * per_square) > travel_max:
             maximum *= 0.95
-        room = maximum * longest + maximum**2 / acceleration
         r = self._values["r_s"].value + rig.limits.r_on
         flux_current = min(
             FLUX_CURRENT * rig.limits.current, FLUX_CURRENT_VOLTAGE * rig.limits.voltage / math.sqrt(3.0) / r
         )
+        self.log.notes["runs"] = {
+            "speed": maximum,
+            "speed_of_voltage": self._speed_of_voltage(),
+            "inertia": inertia,
+            "travel": [longest, per_square],
+        }
         before = 0.0
         for part in SPEEDS:
             speeds = [direction * part * maximum for direction in (1.0, -1.0)]
             for speed in speeds:
-                rig.make_room(room, maximum, acceleration)
+                rig.make_room(room, room, maximum, acceleration)  # from one direction to the other
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / rig.capacity(_SPIN))
                 change = partial(rig.command, "cmd.speed", speed)
@@ -506,12 +582,14 @@ class MotorTest:
                 rig.moving("speed", _SPIN, int(seconds / TICK / every), every, before, times, change)
                 before = speed
             for speed in speeds:
-                rig.make_room(room, maximum, acceleration)
+                turn = math.copysign(room, speed)
+                rig.make_room(max(-turn, 0.0), max(turn, 0.0), maximum, acceleration)
                 ramp = abs(speed) / acceleration
                 times = ramp + SETTLE, ramp + STOPPED
                 rig.moving("plain", _PLAIN, round(PLAIN_TIME / TICK / PLAIN_EVERY), PLAIN_EVERY, speed, times)
             for speed in speeds:
-                rig.make_room(room, maximum, acceleration)
+                turn = math.copysign(room, speed)
+                rig.make_room(max(-turn, 0.0), max(turn, 0.0), maximum, acceleration)
                 # With a d-axis current the phase currents are rarely near zero, where the dead-time voltage is
                 # uncertain. This voltage lags the current; with a current of the other sign the lag has the opposite
                 # effect. A period of a slow sine has both signs, and no steps.
@@ -553,9 +631,12 @@ class MotorTest:
         if volts < voltage_max:
             raise MeasurementError(f"{text}: it does not settle, although the bus voltage is enough; check the wires")
         text = f"{text}: the resistance of the winding is too high for the bus voltage, or a wire has a bad contact"
-        raise MeasurementError(text, lower("--current", rounded_down(largest)))
+        raise MeasurementError(text, lower("--current", rounded_down(largest)), about="resistance")
 
     def _speed_max(self) -> float:
-        pairs, psi = self._values["pole_pairs"].value, self._values["psi_m"].value
-        limits = self._rig.limits
-        return min(limits.speed, 0.8 * limits.voltage / math.sqrt(3.0) / (pairs * psi))
+        return min(self._rig.limits.speed, self._speed_of_voltage())
+
+    def _speed_of_voltage(self) -> float:
+        """Largest speed of the runs with the voltage of the bus [rad/s]."""
+        flux = self._values["pole_pairs"].value * self._values["psi_m"].value
+        return SPEED_USE * self._rig.limits.voltage / math.sqrt(3.0) / flux

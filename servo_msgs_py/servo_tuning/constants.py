@@ -120,7 +120,7 @@ def _sensing(to: Converter) -> dict[str, Value]:
         "mt_speed.speed_per_ratio": to.of("speed per count and clock of the edge timer", per_ratio, _LINES, _HARDWARE),
         f"{search}.current_step": Fraction(
             axis.entry("rotor_search.ramp_time", "current per slow tick"),
-            axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
+            axis("rotor_search.current") / s.i * board.tick / found.ramp,
             (axis.named(either("rotor_search.ramp_time")),),
         ),
         f"{search}.current_slew": to.of(

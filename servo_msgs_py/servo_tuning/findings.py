@@ -99,7 +99,7 @@ def findings(design: Tuned, figures: Assessment) -> list[Problem]:
 
 def _exchange(design: Tuned) -> Iterator[Problem]:
     axis, path = design.axis, "control.current_bandwidth"
-    wanted = current_bandwidth_min(axis, design.board)
+    wanted = current_bandwidth_min(axis.motor, design.board("pwm_frequency"))
     if axis(path) < wanted:
         reason = f"too slow for the back-EMF, by which winding and shaft oscillate at {axis.motor.exchange:.0f} Hz"
         yield axis.problem(path, reason, exactly(path, wanted))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from servo_tuning.configuration import Axis, Board
+from servo_tuning.motor import Motor
 
 EXCHANGE_USE: Final = 0.5
 """Largest natural frequency of winding and shaft, over the bandwidth of the current loop. At 0.66 and above some random
@@ -73,9 +74,9 @@ def _current(axis: Axis, inductance: float, board: Board) -> Pi:
     return Pi(kp, ki, _anti_windup(axis, ki / kp))
 
 
-def current_bandwidth_min(axis: Axis, board: Board) -> float:
+def current_bandwidth_min(motor: Motor, pwm_frequency: float) -> float:
     """Bandwidth of the current loop that damps the exchange of energy between winding and shaft, in whole Hz [Hz]."""
-    return math.ceil(min(axis.motor.exchange / EXCHANGE_USE, board("pwm_frequency") / CURRENT_SAMPLES_MIN))
+    return math.ceil(min(motor.exchange / EXCHANGE_USE, pwm_frequency / CURRENT_SAMPLES_MIN))
 
 
 def speed_pi(axis: Axis, board: Board, bandwidth: float) -> Pi:

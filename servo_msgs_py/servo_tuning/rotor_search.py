@@ -16,6 +16,18 @@ VERIFY_SWINGS: Final = 4.0
 """Least duration of the rotation of the verification, in periods: the lag of the shaft behind it remains small."""
 
 
+GROWTH_MAX: Final = 4.0
+"""Largest growth of the current over that of the first vectors (``sensing/rotor_search.c``)."""
+
+LOW_CURRENT: Final = 0.25
+"""Part of the requested current below which the current of the search is low, from this part of the limit on."""
+
+LOW_CURRENT_TIME: Final = 4e-3
+"""Time of a low current that ends the search (``sensing/rotor_search.h``) [s]."""
+
+LOST_MARGIN: Final = 1.2
+"""Margin of the voltage that dead time and switches take from a vector."""
+
 SALIENT_USE: Final = 0.5
 """Largest current of the search, relative to the one at which a salient rotor leaves the vector."""
 
@@ -29,6 +41,7 @@ class RotorSearch:
     """Resolution and times that the search uses: the entries, or more where encoder or shaft require it."""
 
     interval: float  # remaining interval at which the search ends, at least a count [deg electrical]
+    ramp: float  # time from zero to the full current of the search, for the first vectors [s]
     swing: float  # period of the rotor's oscillation about the vector at the full current of the search [s]
     hold: float  # time at full current without a count [s]
     verify: float  # duration of the rotation of the vector in the verification [s]
@@ -48,10 +61,32 @@ class RotorSearch:
         slowest = axis("rotor_search.verify_angle") / 360.0 * 65536.0 * board.tick  # one step of the vector per tick
         hold = max(axis("rotor_search.hold_time"), HOLD_SWINGS * swing)
         verify = max(axis("rotor_search.verify_time"), min(VERIFY_SWINGS * swing, slowest))
-        bare = cls(max(axis("rotor_search.interval"), count_angle(axis)), swing, hold, verify, 0.0, 0.0)
-        each = axis("rotor_search.ramp_time") + hold + axis("rotor_search.rest_time")
+        ramp = max(axis("rotor_search.ramp_time"), _overcoming_time(axis, board))
+        bare = cls(max(axis("rotor_search.interval"), count_angle(axis)), ramp, swing, hold, verify, 0.0, 0.0)
+        each = ramp + hold + axis("rotor_search.rest_time")
         longest = bare.halvings * each + 4.0 * verify  # rotations to one side, to the other side, and back
         return replace(bare, longest=longest, time_max=max(axis("rotor_search.time_max"), longest))
+
+
+def _overcoming_time(axis: Axis, board: Board) -> float:
+    """Least time of the ramp with which the current controller overcomes the lost voltage of the legs [s].
+
+    Until then no current flows: a search whose current stays low has found an open wire. The voltage of the controller
+    grows with the current that is requested, t / ramp, and with its integral. Within its change during a dead time a
+    current loses a voltage in proportion.
+    """
+    omega = 2.0 * math.pi * axis("control.current_bandwidth")
+    current = axis("rotor_search.current")
+    inductance, voltage = min(axis("motor.l_d"), axis("motor.l_q")), board("nominal_voltage")
+    lost = 4.0 / 3.0 * (voltage * board("dead_time") / board.period + board("switch_drop"))
+    lost *= min(1.5 * LOW_CURRENT**2 * current * inductance / (voltage * board("dead_time")), 1.0)
+    proportional = LOW_CURRENT * omega * inductance * current
+    integral = omega * axis("motor.r_s") * current  # change of the voltage with the full current [V/s]
+    # at the time x / 4 + T: integral / (2 x) (x / 4 + T)^2 = lost - proportional, with x: ramp of the fastest growth
+    needed = 2.0 * max(LOST_MARGIN * lost - proportional, 0.0) / integral - 0.5 * LOW_CURRENT_TIME
+    if needed <= 0.5 * LOW_CURRENT_TIME:
+        return 0.0
+    return GROWTH_MAX * 8.0 * (needed + math.sqrt(needed**2 - 0.25 * LOW_CURRENT_TIME**2))
 
 
 def count_angle(axis: Axis) -> float:

@@ -207,7 +207,7 @@ def _refuse_unstable_shaft(design: Tuned, *, observed: bool) -> None:
     speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
     path = "control.current_bandwidth"
     # first: slow outer loops remain slow when a warning asks for a faster current loop
-    wanted = current_bandwidth_min(design.axis, design.board)
+    wanted = current_bandwidth_min(design.axis.motor, design.board("pwm_frequency"))
     faster = (exactly(path, wanted),) if design.axis(path) < wanted else ()
     _refuse_radius(design, spectral_radius(shaft.speed_alone), how, speed, *faster)
     _refuse_radius(design, spectral_radius(shaft.position.a), how, "control.position_gain", *faster)

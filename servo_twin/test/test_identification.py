@@ -128,7 +128,7 @@ def test_data_that_cannot_be_measured_are_reported(reason: str, voltage: float, 
     assert reason in problem
     result = identified(log, PlantConfig.load(), problem, level="ideal")
     assert result.refinement is None
-    assert result.problems[0] == problem
+    assert str(result.problems[0]) == problem
     assert "psi_m" not in result.estimates.values
 
 
@@ -423,7 +423,7 @@ def test_saturation_is_reported_as_failure(tmp_path: Path) -> None:
     plant = PlantConfig.load().with_axis(0, i_saturation_d=5.0, i_saturation_q=5.0)
     log, problem = measure_virtual(plant, 0, LIMITS, servo_table(), level="ideal", seed=1)
     result = identified(log, PlantConfig.load(), problem, refined=False)
-    assert any("the iron saturates" in text for text in result.problems)
+    assert any("the iron saturates" in str(one) for one in result.problems)
     write_estimates(tmp_path / "estimates.json", result, [])
     content = json.loads((tmp_path / "estimates.json").read_text())
     assert content["bias"]["l_d"] == pytest.approx(2.8)
@@ -434,10 +434,10 @@ def test_a_value_of_zero_is_named_and_asks_for_no_current(tmp_path: Path, monkey
     monkeypatch.setattr(session, "estimates_of", lambda log: found)
     log = MeasurementLog(0, notes={"limits": dataclasses.asdict(LIMITS), "current": 0.4})
     result = identified(log, PlantConfig.load(), refined=False)
-    assert "r_s: 0 ohm is implausible: not determined by the data" in result.problems
-    assert any(text.endswith("is too wide; write --current 0.98 or more") for text in result.problems)
+    assert "r_s: 0 ohm is implausible: not determined by the data" in map(str, result.problems)
+    assert any(str(one).endswith("is too wide; write --current 0.98 or more") for one in result.problems)
     write_estimates(tmp_path / "estimates.json", result, [])
-    assert json.loads((tmp_path / "estimates.json").read_text())["remedy"] == {"--current": 0.98}
+    assert json.loads((tmp_path / "estimates.json").read_text())["remedies"] == [{"--current": 0.98}]
 
 
 @pytest.mark.parametrize("part", [0, 30, 5_000, 50_000, None])

@@ -164,7 +164,7 @@ def _write(
     args: argparse.Namespace, result: Identified, plant: PlantConfig, base: Mapping[str, Any], limits: Limits
 ) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
-    problems, lines = list(result.problems), []
+    problems, lines = [str(one) for one in result.problems], []
     if not problems:
         table, found = tuned_table(base, result, limits)
         lines = list(found)

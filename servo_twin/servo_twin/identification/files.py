@@ -72,8 +72,8 @@ def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> Non
         },
         "bias": result.log.notes.get("bias"),
         "undetermined": dict(result.estimates.undetermined),
-        "problems": list(result.problems),
-        "remedy": _options(result.remedy),
+        "problems": [str(one) for one in result.problems],
+        "remedies": [_options(remedy) for one in result.problems for remedy in one.remedies],
         "difference": None if refinement is None else {"before": refinement.before, "after": refinement.after},
         "margins": list(lines),
     }
@@ -81,7 +81,7 @@ def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> Non
 
 
 def _options(remedy: Remedy | None) -> dict[str, float | None]:
-    """Values of options, all of them necessary; empty: no remedy."""
+    """Values of options, all of them necessary."""
     return {} if remedy is None else {remedy.entry: remedy.value, **_options(remedy.also)}
 
 

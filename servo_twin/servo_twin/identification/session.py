@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from servo_measurement.access import MeasurementError
 from servo_measurement.dead_time import rounded_up
-from servo_measurement.estimation import estimates_of, inductance_at_low_current
+from servo_measurement.estimation import BAND, estimates_of, inductance_at_low_current
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_config import SUPPLY_END, fitted, tuned_axis
-from servo_measurement.motor_test import VOLTAGE_USE, MotorTest
+from servo_measurement.motor_test import OVERSHOOT, ROOM_USE, VOLTAGE_USE, MotorTest
 from servo_measurement.motor_values import UNITS, Limits, MotorEstimates
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.table_text import aligned
-from servo_tuning.errors import ConfigError, Remedy, Table, higher
+from servo_tuning.errors import ConfigError, Problem, Remedy, Table, higher
+from servo_tuning.motor import Motor
 from servo_tuning.remedies import explained
 
 from servo_twin.board import Board, SimulationError
@@ -43,16 +44,13 @@ NEEDED: Final[Mapping[str, float]] = {
 """Largest half width of the 95 % interval of a determined value, relative to the value."""
 
 OF_CURRENT: Final = ("r_s", "l_d", "l_q")
-"""Values whose interval is inversely proportional to the current."""
+"""Values whose interval is inversely proportional to the current; that of the others to the speed."""
 
-MORE: Final[Mapping[str, str]] = {
-    "psi_m": "speed (--speed-max)",
-    **dict.fromkeys(("inertia", "friction"), "current or speed (--current, --speed-max)"),
-}
-"""What narrows the interval of another value."""
+MARGIN: Final = 1.25
+"""Margin of a current or a speed that is enough for an interval."""
 
-CURRENT_MARGIN: Final = 1.25
-"""Margin of a current that is enough for an interval."""
+MOVES_USE: Final = 0.4
+"""Largest natural frequency of winding and shaft, over the smallest one of the test signal for `l_q`."""
 
 FRICTION_SMALL: Final = 0.005
 """Friction below this fraction of the torque of the current limit needs no accurate value."""
@@ -79,8 +77,7 @@ class Identified:
     log: MeasurementLog
     estimates: MotorEstimates  # refined, if there is a refinement
     refinement: Refinement | None
-    problems: tuple[str, ...]  # undetermined values and unexplained differences; empty: success
-    remedy: Remedy | None = None  # change of options with which the intervals of the winding are narrow enough
+    problems: tuple[Problem, ...]  # undetermined values and unexplained differences; empty: success
 
 
 def measure_virtual(
@@ -146,50 +143,35 @@ def identified(
         Level of the simulated boards.
     """
     first = estimates_of(log)
-    problems = [problem] if problem else []
+    problems = [Problem(problem)] if problem else []
     refinement = None
     if refined and not problem and not first.undetermined:
         try:
             refinement = refine(log, first, plant, level, report)
         except (MeasurementError, np.linalg.LinAlgError) as error:
-            problems.append(f"the refinement has failed: {error}")
+            problems.append(Problem(f"the refinement has failed: {error}"))
     estimates = refinement.estimates if refinement is not None else first
-    remedy = None
     if not problem:  # otherwise values and intervals are those of an unfinished measurement
-        problems += [f"{name}: {reason}" for name, reason in first.undetermined.items()]
-        wide = [estimates.values[name].part / NEEDED[name] for name in OF_CURRENT if name in estimates.values]
-        needed = max(filter(math.isfinite, wide), default=0.0)  # infinite: a value of 0, which `_undetermined` names
-        remedy = _more_current(log, estimates, needed) if needed > 1.0 else None
-        problems += _undetermined(estimates, float(log.notes["limits"]["current"]), remedy)
+        problems += [Problem(f"{name}: {reason}", name) for name, reason in first.undetermined.items()]
+        problems += _undetermined(estimates, log)
         problems += _saturated(first, log)
     if refinement is not None:
         problems += _unexplained(log, refinement)
-    return Identified(log, estimates, refinement, tuple(problems), remedy)
+    return Identified(log, estimates, refinement, tuple(problems))
 
 
-def _more_current(log: MeasurementLog, estimates: MotorEstimates, factor: float) -> Remedy | None:
-    """The current that is larger by a factor, with the voltage that it needs; none if the board cannot do it."""
-    catalogue = Catalogue.load()
-    limits = Limits(**log.notes["limits"])
-    current = rounded_up(CURRENT_MARGIN * factor * float(log.notes.get("current", limits.current)))
-    needed = current * (estimates["r_s"] + limits.r_on) * math.sqrt(3.0) / VOLTAGE_USE
-    if current > catalogue["param.i_q_limit"].maximum or needed > SUPPLY_END:
-        return None
-    remedy = higher("--current", current)
-    if needed > limits.voltage:
-        remedy = dataclasses.replace(higher("--voltage", math.ceil(needed)), also=remedy)
-    return remedy
-
-
-def _undetermined(estimates: MotorEstimates, current: float, remedy: Remedy | None) -> list[str]:
-    """Undetermined values; `current`: limit of the user [A], `remedy`: of the values of the winding."""
-    found = []
+def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> Iterator[Problem]:
+    """Undetermined values, with the options that narrow a too wide interval."""
     values = estimates.values
-    changes = remedy.text() if remedy is not None else "it needs a current, or a voltage for it, beyond the board"
+    current = float(log.notes["limits"]["current"])
+    wide = {name: estimate.part / NEEDED[name] for name, estimate in values.items() if NEEDED.get(name)}
+    # infinite: a value of 0, which is named below
+    needed = max((wide[name] for name in OF_CURRENT if name in wide and math.isfinite(wide[name])), default=0.0)
+    more_current = _more_current(log, estimates, needed) if needed > 1.0 else None
     for name, part in NEEDED.items():
         if name not in values:
             if name not in estimates.undetermined:
-                found.append(f"{name}: not measured")
+                yield Problem(f"{name}: not measured", name)
             continue
         estimate = values[name]
         if name == "friction" and "psi_m" in values:
@@ -197,15 +179,71 @@ def _undetermined(estimates: MotorEstimates, current: float, remedy: Remedy | No
             if estimate.interval[1] < small * current:
                 continue
         if not math.isfinite(estimate.value) or (estimate.value <= 0.0 and name != "friction"):
-            found.append(f"{name}: {estimate.value:.3g} {UNITS[name]} is implausible: not determined by the data")
+            fact = f"{name}: {estimate.value:.3g} {UNITS[name]} is implausible: not determined by the data"
+            yield Problem(fact, name)
         elif estimate.part > part > 0.0:
             low, high = estimate.interval
-            change = changes if name in OF_CURRENT else f"use more {MORE[name]}"
-            found.append(f"{name}: the interval {low:.3g} .. {high:.3g} {UNITS[name]} is too wide; {change}")
-    return found
+            fact = f"{name}: the interval {low:.3g} .. {high:.3g} {UNITS[name]} is too wide"
+            if name == "l_q" and _moves(estimates):
+                reason = "the rotor is so light that a test signal across the vector turns it, whatever its current"
+                yield Problem(f"{fact}: {reason}", name, advice="couple an inertia")
+                continue
+            remedy = more_current if name in OF_CURRENT else _more_speed(log, estimates, wide[name])
+            if remedy is None:
+                what = "a current, or a voltage for it," if name in OF_CURRENT else "a speed, or a voltage for it,"
+                yield Problem(f"{fact}; it needs {what} beyond the board", name)
+            else:
+                yield Problem(fact, name, (remedy,))
 
 
-def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[str]:
+def _moves(estimates: MotorEstimates) -> bool:
+    """Whether winding and shaft exchange energy near the frequencies of the test signal for `l_q`."""
+    motor = Motor(**{field.name: estimates[field.name] for field in dataclasses.fields(Motor)})
+    return motor.exchange > MOVES_USE * BAND["q"][0]
+
+
+def _more_current(log: MeasurementLog, estimates: MotorEstimates, factor: float) -> Remedy | None:
+    """The current that is larger by a factor, with the voltage that it needs; none if the board cannot do it."""
+    catalogue = Catalogue.load()
+    limits = Limits(**log.notes["limits"])
+    current = rounded_up(MARGIN * factor * float(log.notes.get("current", limits.current)))
+    needed = float(math.ceil(current * (estimates["r_s"] + limits.r_on) * math.sqrt(3.0) / VOLTAGE_USE))
+    if current > catalogue["param.i_q_limit"].maximum or needed > SUPPLY_END:
+        return None
+    changes = {"--current": current}
+    if needed > limits.voltage:
+        changes = {"--voltage": needed, **changes}
+    return _options(changes)
+
+
+def _more_speed(log: MeasurementLog, estimates: MotorEstimates, factor: float) -> Remedy | None:
+    """The speed that is larger by a factor, with the other options that it needs; none if the board cannot do it."""
+    limits, runs = Limits(**log.notes["limits"]), log.notes["runs"]
+    speed = MARGIN * factor * runs["speed"]
+    voltage = float(math.ceil(limits.voltage * speed / runs["speed_of_voltage"]))
+    time, per_square = runs["travel"]
+    turns = (speed * time + speed**2 * per_square) / (2.0 * math.pi * ROOM_USE)
+    energy = 0.5 * runs["inertia"] * speed**2
+    if OVERSHOOT * speed > Catalogue.load()["param.speed_limit"].maximum or voltage > SUPPLY_END:
+        return None
+    wanted = {
+        "--voltage": (limits.voltage, voltage),
+        "--energy-max": (limits.energy, rounded_up(energy)),
+        "--turns-max": (limits.turns, rounded_up(turns)),
+        "--speed-max": (limits.speed, rounded_up(OVERSHOOT * speed)),
+    }
+    return _options({option: value for option, (given, value) in wanted.items() if value > given})
+
+
+def _options(changes: Mapping[str, float]) -> Remedy | None:
+    """Remedy of several options, all of them necessary."""
+    remedy: Remedy | None = None
+    for option, value in reversed([*changes.items()]):
+        remedy = dataclasses.replace(higher(option, value), also=remedy)
+    return remedy
+
+
+def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[Problem]:
     """Message if an inductance depends on the current; not if a phase current vanishes in the dead time."""
     if (
         not log.notes.get("comparable", True)
@@ -223,10 +261,10 @@ def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[str]:
         f"l_d: {half.value:.4g} H at {less:.2g} A and {full.value:.4g} H at {more:.2g} A along the flux: the iron"
         " saturates, which is not modelled; the values are valid near these currents only"
     )
-    return [text]
+    return [Problem(text, "l_d")]
 
 
-def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
+def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[Problem]:
     found = []
     for column, (fixed, part) in EXPLAINED.items():
         key = f"{axis_name(log.axis)}.{column}"
@@ -236,10 +274,8 @@ def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
             continue
         size = float(np.nanstd(np.concatenate(runs)))
         if rms > fixed + part * size:
-            found.append(
-                f"{column}: with the best values the simulation still differs by {rms:.3g}: an effect on this axis is"
-                " not modelled"
-            )
+            fact = f"{column}: with the best values the simulation still differs by {rms:.3g}: an effect on this axis"
+            found.append(Problem(f"{fact} is not modelled", column))
     return found
 
 

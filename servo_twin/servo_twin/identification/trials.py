@@ -78,11 +78,11 @@ class Trials:
                 errors[name] = estimate.value / true - 1.0
                 low, high = estimate.interval
                 covered[name] = low <= true <= high
-        tuned = ""
-        if not result.problems:
+        problems, tuned = tuple(map(str, result.problems)), ""
+        if not problems:
             table, lines = tuned_table(self.base, result, limits)
             tuned = "" if table is not None else lines[0]
-        return Trial(errors, covered, float(log.notes.get("seconds", 0.0)), result.problems, tuned)
+        return Trial(errors, covered, float(log.notes.get("seconds", 0.0)), problems, tuned)
 
 
 def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
