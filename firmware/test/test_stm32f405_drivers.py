@@ -456,16 +456,16 @@ def test_the_brake_half_bridge_never_has_both_switches_on(board: Stm32Board) -> 
 
 
 def test_a_halt_by_a_debugger_does_not_keep_the_resistor_on(board: Stm32Board) -> None:
-    iwdg, carriers = 1 << 12, 1 << 0 | 1 << 1
-    assert (board[DBGMCU + 0x08], board[DBGMCU + 0x0C]) == (iwdg, carriers)
+    tim5, iwdg, carriers = 1 << 3, 1 << 12, 1 << 0 | 1 << 1
+    assert (board[DBGMCU + 0x08], board[DBGMCU + 0x0C]) == (tim5 | iwdg, carriers)
     board.lib.hal_brake_resistor(board.hal, True)
     order = [a for a, _ in board.writes]
-    assert (board[DBGMCU + 0x08], board[DBGMCU + 0x0C]) == (0, carriers)
+    assert (board[DBGMCU + 0x08], board[DBGMCU + 0x0C]) == (tim5, carriers)
     assert order.index(DBGMCU + 0x08) < len(order) - 1 - order[::-1].index(TIM2 + CCR[3])  # before the switch closes
     board.forget()
     board.lib.hal_brake_resistor(board.hal, False)
     order = [a for a, _ in board.writes]
-    assert board[DBGMCU + 0x08] == iwdg
+    assert board[DBGMCU + 0x08] == tim5 | iwdg
     assert order.index(TIM2 + CCR[3]) < order.index(DBGMCU + 0x08)
 
 

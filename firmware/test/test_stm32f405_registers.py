@@ -83,6 +83,7 @@ RENAMED: Final = {
     "NVIC_IRQ": None,  # bits of the registers of 32 interrupts
     "NVIC_PRIORITY_BITS": None,
     "IRQS": None,
+    "DBGMCU_APB1_FZ_TIM5": "DBG_TIM5_STOP",
     "DBGMCU_APB1_FZ_IWDG": "DBG_IWDEG_STOP",
     "DBGMCU_APB2_FZ_TIM1": "DBG_TIM1_STOP",
     "DBGMCU_APB2_FZ_TIM8": "DBG_TIM8_STOP",

@@ -82,10 +82,10 @@ bool clock_init(hal_t *hal)
 
 /* ---- watchdog: it cannot be stopped, except by a debugger that holds the core ------------------------------------ */
 
-/* While a debugger holds the core, the carriers stop, with open switches. */
+/* While a debugger holds the core, the carriers stop, with open switches, and the clock of the loops: none is late behind it. */
 void debug_freeze(hal_t *hal, bool watchdog)
 {
-    REG_WRITE(hal, DBGMCU_BASE + DBGMCU_APB1_FZ, watchdog ? DBGMCU_APB1_FZ_IWDG : 0U);
+    REG_WRITE(hal, DBGMCU_BASE + DBGMCU_APB1_FZ, DBGMCU_APB1_FZ_TIM5 | (watchdog ? DBGMCU_APB1_FZ_IWDG : 0U));
     REG_WRITE(hal, DBGMCU_BASE + DBGMCU_APB2_FZ, DBGMCU_APB2_FZ_TIM1 | DBGMCU_APB2_FZ_TIM8);
 }
 

@@ -524,7 +524,8 @@
 
 #define DBGMCU_APB1_FZ 0x08U
 #define DBGMCU_APB2_FZ 0x0CU
-#define DBGMCU_APB1_FZ_IWDG BIT(12) /* stop while the debugger holds the core */
+#define DBGMCU_APB1_FZ_TIM5 BIT(3) /* stop while the debugger holds the core */
+#define DBGMCU_APB1_FZ_IWDG BIT(12)
 #define DBGMCU_APB2_FZ_TIM1 BIT(0)
 #define DBGMCU_APB2_FZ_TIM8 BIT(1)
 
