@@ -21,7 +21,7 @@ from servo_msgs_py.text_file import read_toml
 from servo_twin._build_native import generated_for
 from servo_twin.board import Board, BoardError
 from servo_twin.cli import main as servo_sim
-from servo_twin.fault_injection import HotPowerStage, StuckConverter
+from servo_twin.fault_injection import HotPowerStage, ShortedPhase, StuckConverter
 from servo_twin.level import ELF_VARIABLE, LEVEL_VARIABLE, LEVELS, Level
 from servo_twin.plant import DEFAULT_FILE, PlantConfig, on_board
 from servo_twin.simulation import keep_set_points
@@ -144,6 +144,14 @@ def test_an_over_current_is_latched_in_the_gate_driver(software: bytes | None) -
         assert board.stats().breaks > 0
         assert faults(board) == [["OVER_CURRENT"]] * 2
         assert all(abs(board.truth(axis).i_q) < 1e-6 for axis in (0, 1))
+
+
+def test_a_short_opens_both_inverters(software: bytes | None) -> None:
+    with enabled(new_board(software)) as board:
+        board.inject(ShortedPhase(0, "a"))
+        board.write("cmd.position", [3.0, 0.0])
+        board.run(0.01)
+        assert faults(board) == [["OVER_CURRENT"]] * 2
 
 
 def test_the_port_limits_the_current_beyond_the_gate_drivers(software: bytes | None) -> None:

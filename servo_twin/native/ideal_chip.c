@@ -91,10 +91,10 @@ void chip_cut_wire(hal_t *chip, int axis, int pin, bool cut)
     check_enable(chip, axis);
 }
 
-static bool trip(hal_t *chip, int i, bool over_current)
+static bool trip(hal_t *chip, int i, bool over)
 {
     chip_axis_t *axis = &chip->axis[i];
-    if (axis->tripped || !over_current) {
+    if (axis->tripped || !over) {
         return false;
     }
     axis->tripped = true;
@@ -103,11 +103,9 @@ static bool trip(hal_t *chip, int i, bool over_current)
     return true;
 }
 
-/* The comparator opens the switches without software. */
-static bool check_current(hal_t *chip, int i)
+static bool over_current(const hal_t *chip, int i)
 {
-    const bool own = plant_over_current(&chip->plant, i);
-    return trip(chip, i, own || (COMMON_FAULT && plant_over_current(&chip->plant, 1 - i)));
+    return plant_over_current(&chip->plant, i) || (COMMON_FAULT && plant_over_current(&chip->plant, 1 - i));
 }
 
 static bool beyond(int32_t codes)
@@ -218,8 +216,10 @@ static void grid(hal_t *chip)
     if (chip->grid_ns > 0) { /* time zero is the beginning of the first step */
         plant_step(plant, chip->grid_ns - plant->step_ns);
         plant_update_holding_brakes(plant, seconds(chip));
+        /* The comparators open the switches without software; a short has no current behind that. */
+        const bool over[HAL_AXES] = {over_current(chip, 0), over_current(chip, 1)};
         for (int i = 0; i < HAL_AXES; i++) {
-            if (check_current(chip, i) && awake(chip)) {
+            if (trip(chip, i, over[i]) && awake(chip)) {
                 servo_over_current_isr(chip->servo, (uint16_t)i);
             }
         }
@@ -300,7 +300,7 @@ bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis]
 void hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
     hal->axis[axis].tripped = false;
-    if (!check_current(hal, axis)) {
+    if (!trip(hal, axis, over_current(hal, axis))) {
         follow_enable(hal, axis);
     }
 }
