@@ -15,7 +15,7 @@
 #define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
 #define SLOT_MONITOR (SERVO_SLOW_PERIODS / 2U)
-#define SLOT_EXCITE (SERVO_SLOW_PERIODS - 2U) /* after the monitors, which may request a test current */
+#define SLOT_EXCITE (SERVO_SLOW_PERIODS - 2U) /* after the monitors, which may request a test current; feed-forward */
 #define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
 #define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the next slow tick: trajectories, then commands */
 
@@ -150,9 +150,9 @@ static void supervise_bus(servo_t *servo)
         axis->diagnosis.bus.u_dc_max =
             braking->available ? servo->bus_braking_config.u_dc_max_braking : axis->config->u_dc_max;
         axis->regen_derating = braking->regen_derating;
-        axis->bus_limits =
-            (uint16_t)(axis->home.refused_limit | ((braking->on || braking->exhausted) ? LIMIT_BRAKE : 0U) |
-                       (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));
+        axis->bus_limits = (uint16_t)(axis->home.refused_limit | axis->ripple.limit |
+                                      ((braking->on || braking->exhausted) ? LIMIT_BRAKE : 0U) |
+                                      (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));
     }
 }
 
@@ -286,6 +286,7 @@ static void run_axis_slot(axis_t *axis, uint32_t tick)
         break;
     case SLOT_EXCITE:
         axis_test_signal(axis);
+        axis_forward(axis);
         break;
     default: /* SLOT_LATCH is the last one: every slot has a case */
         axis_plan(axis, tick + 1U);

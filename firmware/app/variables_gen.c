@@ -1092,7 +1092,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(parameter.speed_limit), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(410139), INT32_C(1718483103)}}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(2051), INT32_C(102534791)}}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, {NUMBER_SIGNED, INT32_C(397), INT32_C(15888)}}, /* param.i_q_limit */
-    {OFFSET(parameter.features), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(65535)}}, /* param.features */
+    {OFFSET(parameter.features), 2, {NUMBER_WIDE, INT32_C(0), INT32_C(131071)}}, /* param.features */
     {OFFSET(parameter.position_min), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-954929659), INT32_C(954929659)}}, /* param.position_min */
     {OFFSET(parameter.position_max), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(-954929659), INT32_C(954929659)}}, /* param.position_max */
     {OFFSET(parameter.following_error), 2, {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(6), INT32_C(636620)}}, /* param.following_error */

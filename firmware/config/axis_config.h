@@ -14,6 +14,7 @@
 #include "control/field_weakening.h"
 #include "control/friction.h"
 #include "control/pll.h"
+#include "control/torque_ripple.h"
 #include "diagnosis/heat_sink_monitor.h"
 #include "diagnosis/observation.h"
 #include "diagnosis/shaft_monitor.h"
@@ -51,6 +52,7 @@ typedef struct {
     int32_t path_step_per_speed; /* counts per slow tick at full-scale speed, 16 fraction bits */
     int32_t speed_per_path_step; /* 1 / path_step_per_speed, 31 fraction bits */
     friction_config_t friction;
+    torque_ripple_config_t torque_ripple;
     int32_t acceleration_forward; /* J / (Kt Ts): current / change of the speed per slow tick, 16 fraction bits */
 
     frac16_t torque_constant; /* 3/2 p psi_m, Q1.15 of 1 N m/A */

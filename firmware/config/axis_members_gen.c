@@ -107,70 +107,95 @@ CHECK(91, SIZE(friction.coulomb) == 4);
 CHECK(92, SIZE(friction.viscous) == 4);
 CHECK(93, SIZE(friction.smooth) == 4);
 CHECK(94, SIZE(friction.slope) == 4);
-CHECK(95, SIZE(acceleration_forward) == 4);
-CHECK(96, SIZE(torque_constant) == 2);
-CHECK(97, SIZE(i_q_limit) == 2);
-CHECK(98, SIZE(speed_limit) == 4);
-CHECK(99, SIZE(acceleration_limit) == 4);
-CHECK(100, SIZE(features) == 4);
-CHECK(101, SIZE(position_limit) == 4);
-CHECK(102, SIZE(following_error) == 4);
-CHECK(103, SIZE(over_speed) == 4);
-CHECK(104, SIZE(u_dc_nominal) == 2);
-CHECK(105, SIZE(u_dc_max) == 2);
-CHECK(106, SIZE(u_dc_min) == 2);
-CHECK(107, SIZE(offset_tolerance) == 2);
-CHECK(108, SIZE(offset_duty_min) == 2);
-CHECK(109, SIZE(winding.current_min) == 2);
-CHECK(110, SIZE(winding.direction_current_min) == 2);
-CHECK(111, SIZE(winding.resistance) == 4);
-CHECK(112, SIZE(winding.inductance) == 4);
-CHECK(113, SIZE(winding.rotation_per_voltage) == 4);
-CHECK(114, SIZE(winding.emf_floor) == 2);
-CHECK(115, SIZE(heat.hot) == 2);
-CHECK(116, SIZE(heat.cool) == 2);
-CHECK(117, SIZE(winding_model.heating) == 4);
-CHECK(118, SIZE(winding_model.cooling) == 4);
-CHECK(119, SIZE(winding_model.ambient) == 2);
-CHECK(120, SIZE(winding_model.initial) == 2);
-CHECK(121, SIZE(winding_model.derating) == 2);
-CHECK(122, SIZE(winding_model.maximum) == 2);
-CHECK(123, SIZE(winding_model.fault) == 2);
-CHECK(124, SIZE(winding_model.rated_current) == 2);
-CHECK(125, SIZE(shaft.runaway_margin) == 4);
-CHECK(126, SIZE(shaft.runaway_ticks_max) == 2);
-CHECK(127, SIZE(shaft.stall_ticks_max) == 2);
-CHECK(128, SIZE(shaft.following_ticks_max) == 2);
-CHECK(129, SIZE(shaft.over_speed_ticks_max) == 2);
-CHECK(130, SIZE(settle_ticks) == 2);
-CHECK(131, SIZE(rest_ticks_max) == 2);
-CHECK(132, SIZE(search_ticks_max) == 2);
-CHECK(133, SIZE(stop_speed) == 4);
-CHECK(134, SIZE(stop_ticks_max) == 2);
-CHECK(135, SIZE(stop.disable) == 2);
-CHECK(136, SIZE(stop.quick_stop) == 2);
-CHECK(137, SIZE(stop.shorted) == 4);
-CHECK(138, SIZE(stop.ramp) == 4);
-CHECK(139, SIZE(stop.hold) == 4);
-CHECK(140, SIZE(stop.short_speed) == 4);
-CHECK(141, SIZE(stop.short_current) == 2);
-CHECK(142, SIZE(stop.ticks_max) == 2);
-CHECK(143, SIZE(stop.hold_ticks) == 2);
-CHECK(144, SIZE(regeneration_speed) == 4);
-CHECK(145, SIZE(copper_current) == 2);
-CHECK(146, SIZE(field_weakening.margin) == 2);
-CHECK(147, SIZE(field_weakening.gain) == 2);
-CHECK(148, SIZE(field_weakening.i_d_max) == 2);
-CHECK(149, SIZE(field_weakening.q_share) == 2);
-CHECK(150, SIZE(home.speed) == 2);
-CHECK(151, SIZE(home.current) == 2);
-CHECK(152, SIZE(home.back_off) == 2);
-CHECK(153, SIZE(home.spread_max) == 2);
-CHECK(154, SIZE(home.turns_max) == 2);
-CHECK(155, SIZE(home.reach) == 2);
-CHECK(156, SIZE(pins.fitted) == 2);
-CHECK(157, SIZE(pins.open_ticks) == 2);
-CHECK(158, SIZE(pins.close_ticks) == 2);
+CHECK(95, SIZE(torque_ripple.order[0]) == 2);
+CHECK(96, SIZE(torque_ripple.order[1]) == 2);
+CHECK(97, SIZE(torque_ripple.order[2]) == 2);
+CHECK(98, SIZE(torque_ripple.order[3]) == 2);
+CHECK(99, SIZE(torque_ripple.order[4]) == 2);
+CHECK(100, SIZE(torque_ripple.order[5]) == 2);
+CHECK(101, SIZE(torque_ripple.order[6]) == 2);
+CHECK(102, SIZE(torque_ripple.order[7]) == 2);
+CHECK(103, SIZE(torque_ripple.amplitude[0]) == 2);
+CHECK(104, SIZE(torque_ripple.amplitude[1]) == 2);
+CHECK(105, SIZE(torque_ripple.amplitude[2]) == 2);
+CHECK(106, SIZE(torque_ripple.amplitude[3]) == 2);
+CHECK(107, SIZE(torque_ripple.amplitude[4]) == 2);
+CHECK(108, SIZE(torque_ripple.amplitude[5]) == 2);
+CHECK(109, SIZE(torque_ripple.amplitude[6]) == 2);
+CHECK(110, SIZE(torque_ripple.amplitude[7]) == 2);
+CHECK(111, SIZE(torque_ripple.phase[0]) == 2);
+CHECK(112, SIZE(torque_ripple.phase[1]) == 2);
+CHECK(113, SIZE(torque_ripple.phase[2]) == 2);
+CHECK(114, SIZE(torque_ripple.phase[3]) == 2);
+CHECK(115, SIZE(torque_ripple.phase[4]) == 2);
+CHECK(116, SIZE(torque_ripple.phase[5]) == 2);
+CHECK(117, SIZE(torque_ripple.phase[6]) == 2);
+CHECK(118, SIZE(torque_ripple.phase[7]) == 2);
+CHECK(119, SIZE(torque_ripple.lead) == 4);
+CHECK(120, SIZE(acceleration_forward) == 4);
+CHECK(121, SIZE(torque_constant) == 2);
+CHECK(122, SIZE(i_q_limit) == 2);
+CHECK(123, SIZE(speed_limit) == 4);
+CHECK(124, SIZE(acceleration_limit) == 4);
+CHECK(125, SIZE(features) == 4);
+CHECK(126, SIZE(position_limit) == 4);
+CHECK(127, SIZE(following_error) == 4);
+CHECK(128, SIZE(over_speed) == 4);
+CHECK(129, SIZE(u_dc_nominal) == 2);
+CHECK(130, SIZE(u_dc_max) == 2);
+CHECK(131, SIZE(u_dc_min) == 2);
+CHECK(132, SIZE(offset_tolerance) == 2);
+CHECK(133, SIZE(offset_duty_min) == 2);
+CHECK(134, SIZE(winding.current_min) == 2);
+CHECK(135, SIZE(winding.direction_current_min) == 2);
+CHECK(136, SIZE(winding.resistance) == 4);
+CHECK(137, SIZE(winding.inductance) == 4);
+CHECK(138, SIZE(winding.rotation_per_voltage) == 4);
+CHECK(139, SIZE(winding.emf_floor) == 2);
+CHECK(140, SIZE(heat.hot) == 2);
+CHECK(141, SIZE(heat.cool) == 2);
+CHECK(142, SIZE(winding_model.heating) == 4);
+CHECK(143, SIZE(winding_model.cooling) == 4);
+CHECK(144, SIZE(winding_model.ambient) == 2);
+CHECK(145, SIZE(winding_model.initial) == 2);
+CHECK(146, SIZE(winding_model.derating) == 2);
+CHECK(147, SIZE(winding_model.maximum) == 2);
+CHECK(148, SIZE(winding_model.fault) == 2);
+CHECK(149, SIZE(winding_model.rated_current) == 2);
+CHECK(150, SIZE(shaft.runaway_margin) == 4);
+CHECK(151, SIZE(shaft.runaway_ticks_max) == 2);
+CHECK(152, SIZE(shaft.stall_ticks_max) == 2);
+CHECK(153, SIZE(shaft.following_ticks_max) == 2);
+CHECK(154, SIZE(shaft.over_speed_ticks_max) == 2);
+CHECK(155, SIZE(settle_ticks) == 2);
+CHECK(156, SIZE(rest_ticks_max) == 2);
+CHECK(157, SIZE(search_ticks_max) == 2);
+CHECK(158, SIZE(stop_speed) == 4);
+CHECK(159, SIZE(stop_ticks_max) == 2);
+CHECK(160, SIZE(stop.disable) == 2);
+CHECK(161, SIZE(stop.quick_stop) == 2);
+CHECK(162, SIZE(stop.shorted) == 4);
+CHECK(163, SIZE(stop.ramp) == 4);
+CHECK(164, SIZE(stop.hold) == 4);
+CHECK(165, SIZE(stop.short_speed) == 4);
+CHECK(166, SIZE(stop.short_current) == 2);
+CHECK(167, SIZE(stop.ticks_max) == 2);
+CHECK(168, SIZE(stop.hold_ticks) == 2);
+CHECK(169, SIZE(regeneration_speed) == 4);
+CHECK(170, SIZE(copper_current) == 2);
+CHECK(171, SIZE(field_weakening.margin) == 2);
+CHECK(172, SIZE(field_weakening.gain) == 2);
+CHECK(173, SIZE(field_weakening.i_d_max) == 2);
+CHECK(174, SIZE(field_weakening.q_share) == 2);
+CHECK(175, SIZE(home.speed) == 2);
+CHECK(176, SIZE(home.current) == 2);
+CHECK(177, SIZE(home.back_off) == 2);
+CHECK(178, SIZE(home.spread_max) == 2);
+CHECK(179, SIZE(home.turns_max) == 2);
+CHECK(180, SIZE(home.reach) == 2);
+CHECK(181, SIZE(pins.fitted) == 2);
+CHECK(182, SIZE(pins.open_ticks) == 2);
+CHECK(183, SIZE(pins.close_ticks) == 2);
 
 const number_range_t axis_ranges[] TABLE_MEMORY = {
     {NUMBER_WIDE | NUMBER_SIGNED | NUMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -210,10 +235,13 @@ const number_range_t axis_ranges[] TABLE_MEMORY = {
     {0U, INT32_C(0), INT32_C(1)},
     {NUMBER_WIDE | NUMBER_SIGNED | NUMBER_LIVE, INT32_C(1), INT32_C(2147483647)},
     {NUMBER_LIVE, INT32_C(1), INT32_C(16384)},
+    {NUMBER_LIVE, INT32_C(0), INT32_C(255)},
+    {NUMBER_SIGNED | NUMBER_LIVE, INT32_C(0), INT32_C(32767)},
+    {NUMBER_LIVE, INT32_C(0), INT32_C(65535)},
     {NUMBER_SIGNED, INT32_C(397), INT32_C(15888)},
     {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(410139), INT32_C(1718483103)},
     {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(2051), INT32_C(102534791)},
-    {NUMBER_WIDE, INT32_C(0), INT32_C(65535)},
+    {NUMBER_WIDE, INT32_C(0), INT32_C(131071)},
     {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(0), INT32_C(954929659)},
     {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(6), INT32_C(636620)},
     {NUMBER_WIDE | NUMBER_SIGNED, INT32_C(4101392), INT32_C(2050695827)},
@@ -221,14 +249,12 @@ const number_range_t axis_ranges[] TABLE_MEMORY = {
     {0U, INT32_C(0), INT32_C(4095)},
     {NUMBER_WIDE | NUMBER_SIGNED | NUMBER_LIVE, INT32_C(1), INT32_C(1073741823)},
     {NUMBER_SIGNED | NUMBER_LIVE, INT32_C(-12800), INT32_C(32767)},
-    {NUMBER_SIGNED | NUMBER_LIVE, INT32_C(0), INT32_C(32767)},
     {NUMBER_SIGNED | NUMBER_LIVE, INT32_C(1), INT32_C(32767)},
     {0U, INT32_C(0), INT32_C(3)},
     {NUMBER_WIDE | NUMBER_BITS, INT32_C(0), INT32_C(56700225)},
     {NUMBER_WIDE | NUMBER_BITS, INT32_C(0), INT32_C(56634432)},
     {NUMBER_WIDE | NUMBER_BITS, INT32_C(0), INT32_C(54529088)},
     {NUMBER_LIVE, INT32_C(2), INT32_C(65535)},
-    {NUMBER_LIVE, INT32_C(0), INT32_C(65535)},
     {NUMBER_LIVE, INT32_C(1), INT32_C(65535)},
     {0U, INT32_C(0), INT32_C(31)},
 };
@@ -329,19 +355,44 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(friction.viscous), 10U},
     {OFFSET(friction.smooth), 35U},
     {OFFSET(friction.slope), 10U},
+    {OFFSET(torque_ripple.order[0]), 37U},
+    {OFFSET(torque_ripple.order[1]), 37U},
+    {OFFSET(torque_ripple.order[2]), 37U},
+    {OFFSET(torque_ripple.order[3]), 37U},
+    {OFFSET(torque_ripple.order[4]), 37U},
+    {OFFSET(torque_ripple.order[5]), 37U},
+    {OFFSET(torque_ripple.order[6]), 37U},
+    {OFFSET(torque_ripple.order[7]), 37U},
+    {OFFSET(torque_ripple.amplitude[0]), 38U},
+    {OFFSET(torque_ripple.amplitude[1]), 38U},
+    {OFFSET(torque_ripple.amplitude[2]), 38U},
+    {OFFSET(torque_ripple.amplitude[3]), 38U},
+    {OFFSET(torque_ripple.amplitude[4]), 38U},
+    {OFFSET(torque_ripple.amplitude[5]), 38U},
+    {OFFSET(torque_ripple.amplitude[6]), 38U},
+    {OFFSET(torque_ripple.amplitude[7]), 38U},
+    {OFFSET(torque_ripple.phase[0]), 39U},
+    {OFFSET(torque_ripple.phase[1]), 39U},
+    {OFFSET(torque_ripple.phase[2]), 39U},
+    {OFFSET(torque_ripple.phase[3]), 39U},
+    {OFFSET(torque_ripple.phase[4]), 39U},
+    {OFFSET(torque_ripple.phase[5]), 39U},
+    {OFFSET(torque_ripple.phase[6]), 39U},
+    {OFFSET(torque_ripple.phase[7]), 39U},
+    {OFFSET(torque_ripple.lead), 10U},
     {OFFSET(acceleration_forward), 10U},
     {OFFSET(torque_constant), 16U},
-    {OFFSET(i_q_limit), 37U},
-    {OFFSET(speed_limit), 38U},
-    {OFFSET(acceleration_limit), 39U},
-    {OFFSET(features), 40U},
-    {OFFSET(position_limit), 41U},
-    {OFFSET(following_error), 42U},
-    {OFFSET(over_speed), 43U},
+    {OFFSET(i_q_limit), 40U},
+    {OFFSET(speed_limit), 41U},
+    {OFFSET(acceleration_limit), 42U},
+    {OFFSET(features), 43U},
+    {OFFSET(position_limit), 44U},
+    {OFFSET(following_error), 45U},
+    {OFFSET(over_speed), 46U},
     {OFFSET(u_dc_nominal), 16U},
     {OFFSET(u_dc_max), 4U},
     {OFFSET(u_dc_min), 4U},
-    {OFFSET(offset_tolerance), 44U},
+    {OFFSET(offset_tolerance), 47U},
     {OFFSET(offset_duty_min), 4U},
     {OFFSET(winding.current_min), 4U},
     {OFFSET(winding.direction_current_min), 4U},
@@ -349,16 +400,16 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(winding.inductance), 25U},
     {OFFSET(winding.rotation_per_voltage), 25U},
     {OFFSET(winding.emf_floor), 4U},
-    {OFFSET(heat.hot), 45U},
-    {OFFSET(heat.cool), 45U},
-    {OFFSET(winding_model.heating), 46U},
-    {OFFSET(winding_model.cooling), 46U},
-    {OFFSET(winding_model.ambient), 47U},
-    {OFFSET(winding_model.initial), 47U},
-    {OFFSET(winding_model.derating), 48U},
-    {OFFSET(winding_model.maximum), 48U},
-    {OFFSET(winding_model.fault), 48U},
-    {OFFSET(winding_model.rated_current), 49U},
+    {OFFSET(heat.hot), 48U},
+    {OFFSET(heat.cool), 48U},
+    {OFFSET(winding_model.heating), 49U},
+    {OFFSET(winding_model.cooling), 49U},
+    {OFFSET(winding_model.ambient), 50U},
+    {OFFSET(winding_model.initial), 50U},
+    {OFFSET(winding_model.derating), 38U},
+    {OFFSET(winding_model.maximum), 38U},
+    {OFFSET(winding_model.fault), 38U},
+    {OFFSET(winding_model.rated_current), 51U},
     {OFFSET(shaft.runaway_margin), 14U},
     {OFFSET(shaft.runaway_ticks_max), 17U},
     {OFFSET(shaft.stall_ticks_max), 17U},
@@ -369,28 +420,28 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(search_ticks_max), 17U},
     {OFFSET(stop_speed), 14U},
     {OFFSET(stop_ticks_max), 17U},
-    {OFFSET(stop.disable), 50U},
-    {OFFSET(stop.quick_stop), 50U},
-    {OFFSET(stop.shorted), 51U},
-    {OFFSET(stop.ramp), 52U},
-    {OFFSET(stop.hold), 53U},
+    {OFFSET(stop.disable), 52U},
+    {OFFSET(stop.quick_stop), 52U},
+    {OFFSET(stop.shorted), 53U},
+    {OFFSET(stop.ramp), 54U},
+    {OFFSET(stop.hold), 55U},
     {OFFSET(stop.short_speed), 25U},
     {OFFSET(stop.short_current), 4U},
     {OFFSET(stop.ticks_max), 17U},
     {OFFSET(stop.hold_ticks), 17U},
     {OFFSET(regeneration_speed), 25U},
     {OFFSET(copper_current), 4U},
-    {OFFSET(field_weakening.margin), 48U},
-    {OFFSET(field_weakening.gain), 48U},
-    {OFFSET(field_weakening.i_d_max), 48U},
-    {OFFSET(field_weakening.q_share), 49U},
-    {OFFSET(home.speed), 49U},
-    {OFFSET(home.current), 49U},
-    {OFFSET(home.back_off), 54U},
-    {OFFSET(home.spread_max), 55U},
-    {OFFSET(home.turns_max), 56U},
-    {OFFSET(home.reach), 55U},
-    {OFFSET(pins.fitted), 57U},
+    {OFFSET(field_weakening.margin), 38U},
+    {OFFSET(field_weakening.gain), 38U},
+    {OFFSET(field_weakening.i_d_max), 38U},
+    {OFFSET(field_weakening.q_share), 51U},
+    {OFFSET(home.speed), 51U},
+    {OFFSET(home.current), 51U},
+    {OFFSET(home.back_off), 56U},
+    {OFFSET(home.spread_max), 39U},
+    {OFFSET(home.turns_max), 57U},
+    {OFFSET(home.reach), 39U},
+    {OFFSET(pins.fitted), 58U},
     {OFFSET(pins.open_ticks), 17U},
     {OFFSET(pins.close_ticks), 17U},
 };

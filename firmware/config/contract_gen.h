@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x33EC116C)
+#define CATALOGUE_HASH UINT32_C(0xAFEE23B7)
 
 #define POSITION_PER_TURN 4000 /* position counts */
 
@@ -210,6 +210,7 @@ typedef enum {
 #define LIMIT_NOT_HOMED UINT16_C(0x0800) /* position not known: the shaft stays near the position at which it was enabled, and set-points beyond that are refused */
 #define LIMIT_INPUT UINT16_C(0x1000) /* enable input open: the axis is not enabled; or limit switch active: no motion in its direction */
 #define LIMIT_OSCILLATION UINT16_C(0x2000) /* the current oscillated: the gains of speed and position control are reduced until the next enabling, or full again because it did not depend on them */
+#define LIMIT_ANGLE_UNKNOWN UINT16_C(0x4000) /* the feature TORQUE_RIPPLE does nothing: the mechanical angle is not known */
 
 #define INPUT_HOME UINT16_C(0x0001) /* the home switch is active */
 #define INPUT_LIMIT_MIN UINT16_C(0x0002) /* the lower limit switch is active */
@@ -233,6 +234,7 @@ typedef enum {
 #define FEATURE_WINDING_MODEL UINT32_C(0x00002000) /* current limit reduced with the estimated winding temperature, and a fault above its maximum */
 #define FEATURE_FIELD_WEAKENING UINT32_C(0x00004000) /* field weakening (negative i_d) at speeds that the bus voltage does not permit otherwise */
 #define FEATURE_HOMING UINT32_C(0x00008000) /* until the position is known or assumed, the shaft stays near the position at which it was enabled, and soft limits are not applied */
+#define FEATURE_TORQUE_RIPPLE UINT32_C(0x00010000) /* feed-forward of the current against torque ripple (cogging), harmonics of the mechanical angle of a homed axis */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
@@ -254,7 +256,7 @@ typedef enum {
 #define STORAGE_REQUEST_SAVE 1
 #define STORAGE_REQUEST_FACTORY 2
 
-#define PARAM_FEATURES_MAX INT32_C(65535)
+#define PARAM_FEATURES_MAX INT32_C(131071)
 #define PARAM_FAULTS_ENABLED_MAX INT32_C(67108863)
 
 #endif

@@ -13,6 +13,7 @@
 #include "drive/limits.h"
 #include "drive/monitors.h"
 #include "drive/motion.h"
+#include "drive/ripple_forward.h"
 #include "drive/run_states.h"
 #include "drive/soft_limits.h"
 #include "drive/speed_control.h"
@@ -201,6 +202,8 @@ void axis_protect(axis_t *axis)
 }
 
 void axis_test_signal(axis_t *axis) { test_signal_step(axis); }
+
+void axis_forward(axis_t *axis) { ripple_forward_step(axis); }
 
 void axis_edge(axis_t *axis) { axis->source->edge(axis); }
 

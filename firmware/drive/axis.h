@@ -32,6 +32,9 @@ void axis_plan(axis_t *axis, uint32_t tick);
 /* Once per slow tick, in a separate PWM period: pins, holding brake, homing, winding model, field weakening. */
 void axis_protect(axis_t *axis);
 
+/* Once per slow tick, two PWM periods before axis_slow: feed-forward against torque ripple. */
+void axis_forward(axis_t *axis);
+
 /* Once per slow tick: test signals. */
 void axis_test_signal(axis_t *axis);
 

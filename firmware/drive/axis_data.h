@@ -87,6 +87,14 @@ typedef struct {
     bool stale; /* `braking_constant` and `omega_n_ts` must be recalculated */
 } path_limits_t;
 
+/* Feed-forward against torque ripple (ripple_forward.h). */
+typedef struct {
+    int32_t turn; /* position at the start of the present turn, counts */
+    frac32_t current; /* i_q of the next slow tick, Q1.31 of full-scale current */
+    uint16_t fade; /* part of the harmonics in force, 15 fraction bits: switched on and off without a step */
+    uint16_t limit; /* LIMIT_ bit: why there is no feed-forward */
+} ripple_forward_t;
+
 /* Motion in SPIN. */
 typedef enum {
     MOTION_POSITION = CONTROL_MODE_POSITION, /* follow the shaped position set-point */
@@ -183,6 +191,7 @@ typedef struct axis {
     dq_t current_ref; /* Q1.15 of full-scale current */
     field_weakening_t weakening; /* field weakening; all zero: no effect */
     motion_state_t motion;
+    ripple_forward_t ripple;
     trajectory_t trajectory;
     home_t home;
     observation_t observation;

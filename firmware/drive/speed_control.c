@@ -4,13 +4,13 @@
 
 #define DITHER_COUNTS 4 /* counts of the encoder per slow tick */
 
-/* Feed-forward current, for friction and for the acceleration: J alpha / Kt. */
+/* Feed-forward current, for torque ripple, friction and the acceleration: J alpha / Kt. */
 static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
 {
     const motion_state_t *m = &axis->motion;
-    frac32_t i_q = 0;
+    frac32_t i_q = axis->ripple.current;
     if ((axis->parameter.features & FEATURE_FRICTION) != 0U) {
-        i_q = friction_current(&config->friction, m->shaped_speed);
+        i_q = f32_add(i_q, friction_current(&config->friction, m->shaped_speed));
     }
     /* If the shaft lags the path, its acceleration differs from that of the path. */
     const bool in_time = m->motion != MOTION_POSITION || m->path_forward;

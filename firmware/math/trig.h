@@ -46,6 +46,18 @@ static inline sin_cos_t sin_cos(frac16_t angle)
     return result;
 }
 
+/* Sine of pi x angle in Q1.15, as that of sin_cos. */
+static inline int32_t f16_sin(frac16_t angle)
+{
+    const uint16_t phase = (uint16_t)angle;
+    const uint16_t step = (uint16_t)((phase >> TRIG_REST_BITS) & (TRIG_QUARTER_STEPS - 1U));
+    const int32_t part = (int32_t)(phase & ((1U << TRIG_REST_BITS) - 1U));
+    const int32_t sine = ((phase & 0x4000U) == 0U) ? trig_between(&trig_quarter_wave[step], part)
+                                                   : trig_between(&trig_quarter_wave[TRIG_QUARTER_STEPS - 1U - step],
+                                                                  (INT32_C(1) << TRIG_REST_BITS) - part);
+    return ((phase & 0x8000U) == 0U) ? sine : -sine;
+}
+
 /* sin_cos as a function call: less code, more time. */
 sin_cos_t sin_cos_of(frac16_t angle);
 

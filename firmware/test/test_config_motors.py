@@ -92,6 +92,9 @@ def fill(config: Any, constants: AxisConstants) -> None:
             gains = getattr(place, field)
             gains.kp, gains.ki, gains.kc = value
             assert (gains.kp, gains.ki, gains.kc) == value
+        elif field.endswith("]"):
+            name, _, index = field[:-1].partition("[")
+            getattr(place, name)[int(index)] = value
         else:
             setattr(place, field, value)
             assert getattr(place, field) == value, path
@@ -103,6 +106,8 @@ def fields_of(core: Core, type_: Any, prefix: str = "") -> set[str]:
     for name, field in type_.fields:
         if field.type.kind == "struct" and field.type.cname != "pi_gains_t":
             found |= fields_of(core, field.type, f"{prefix}{name}.")
+        elif field.type.kind == "array":
+            found |= {f"{prefix}{name}[{k}]" for k in range(field.type.length)}
         else:
             found.add(prefix + name)
     return found

@@ -25,6 +25,7 @@ from servo_tuning.schema import (
 )
 from servo_tuning.stops import Stops
 from servo_tuning.temperature import Temperature
+from servo_tuning.torque_ripple import TORQUE_RIPPLE, Harmonic, read_harmonics
 
 FEEDBACKS: Final = ("encoder", "observer")
 """Sources of angle and speed; the first is the default."""
@@ -157,6 +158,7 @@ class Axis:
     inherited: frozenset[str]  # entries that come from [defaults]
     feedback: str  # source of angle and speed after reset, ``encoder`` or ``observer``
     pins: Mapping[str, bool]  # which of `PINS` are fitted
+    harmonics: tuple[Harmonic, ...] = ()  # torque ripple that the board compensates
     members: Mapping[str, int] = field(default_factory=dict)
     """Raw numbers of members of the configuration block, by C path, that replace the computed ones."""
 
@@ -227,7 +229,7 @@ class Axis:
         """
         if name not in table:
             raise ConfigError(f"[{name}.motor] is missing; every axis needs a motor")
-        groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
+        groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features", TORQUE_RIPPLE)}
         inherited: set[str] = set()
         feedback = FEEDBACKS[0]
         members: dict[str, int] = {}
@@ -246,6 +248,7 @@ class Axis:
                 paths = {f"{group}.{key}" for key in entries}
                 inherited = inherited | paths if owner == "defaults" else inherited - paths
         features = check_switches(f"{name}.features", groups.pop("features"), feature_names)
+        harmonics = read_harmonics(f"{name}.{TORQUE_RIPPLE}", groups.pop(TORQUE_RIPPLE))
         origin = frozenset(inherited)
         stops = Stops.extract(
             groups["stop"], fault_names, lambda key: _entry(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
@@ -258,7 +261,7 @@ class Axis:
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, stops, origin, feedback, pins, members)
+        return cls(name, checked, features, stops, origin, feedback, pins, harmonics, members)
 
 
 def _feedback(where: str, value: object) -> str:

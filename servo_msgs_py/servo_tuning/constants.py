@@ -15,6 +15,7 @@ from servo_tuning.field_weakening import field_weakening_constants
 from servo_tuning.formats import FRAC16, UINT16, fixed_point
 from servo_tuning.gains import Gains
 from servo_tuning.rotor_search import RotorSearch
+from servo_tuning.torque_ripple import HARMONICS, TORQUE_RIPPLE, ripple_members
 from servo_tuning.winding import winding_constants
 
 PI_SUM: Final = fixed_point("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
@@ -52,6 +53,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
             **_current_loop(to, gains),
             **_sensing(to),
             **_motion(to, gains),
+            **_torque_ripple(to),
             **_acceleration_forward(to),
             **_limits(to),
             **_supervision(to),
@@ -226,6 +228,24 @@ def friction_constants(to: Converter) -> dict[str, Value]:
         "friction.smooth": to.at("friction.smooth", 1.0 / s.speed),
         "friction.slope": Fraction(
             axis.entry("friction.smooth", "slope"), s.speed / smooth, (axis.named(either("friction.smooth")),)
+        ),
+    }
+
+
+RIPPLE_PERIODS: Final = 7.2
+"""PWM periods from the sampling of the angle of the ripple compensation to the middle of its effect: 3.2 until the
+voltage changes, half of the 8 for which it is held."""
+
+
+def _torque_ripple(to: Converter) -> dict[str, Value]:
+    axis, s = to.axis, to.s
+    members = ripple_members(axis.harmonics, axis.torque_constant * s.i)
+    lead = RIPPLE_PERIODS * to.board.period + 1.0 / (2.0 * math.pi * axis("control.current_bandwidth"))
+    where = f"{axis.name}.{TORQUE_RIPPLE}.{HARMONICS}"
+    return {
+        **{path: Fraction(where, value, ("write smaller amplitudes",)) for path, value in members.items()},
+        "torque_ripple.lead": to.of(
+            "angle during the delay of the ripple compensation", lead * s.speed / 2.0 / math.pi
         ),
     }
 

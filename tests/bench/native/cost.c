@@ -121,6 +121,17 @@ static void put_into_observed_spin(axis_t *axis, frac32_t speed)
     hal_pwm_enable(&hal, axis->index, true);
 }
 
+/* All harmonics of the torque ripple. */
+static void set_ripple(uint16_t axis)
+{
+    torque_ripple_config_t *ripple = &config_blocks_writable(&servo.config_blocks, axis)->torque_ripple;
+    for (uint16_t k = 0; k < RIPPLE_HARMONICS; k++) {
+        ripple->order[k] = (uint16_t)(12U * (k + 1U));
+        ripple->amplitude[k] = 100;
+        ripple->phase[k] = (uint16_t)(7000U * k);
+    }
+}
+
 static void command(const phase_t *phase)
 {
     for (uint16_t i = 0; i < HAL_AXES; i++) {
@@ -154,7 +165,8 @@ int main(void)
         servo.parameter.feedback[i] =
             (machine_image(0) == WITHOUT_ENCODERS) ? FEEDBACK_KIND_OBSERVER : FEEDBACK_KIND_ENCODER;
         if (machine_image(0) == ALL_FEATURES) {
-            servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
+            servo.parameter.features[i] = (uint32_t)PARAM_FEATURES_MAX;
+            set_ripple(i);
             servo.axis[i].home.state = HOME_STATE_KNOWN; /* otherwise set-points would be refused */
         }
         servo.parameter.speed_limit[i] = RAD_PER_S(419); /* above the voltage limit */

@@ -62,6 +62,7 @@ SCENARIOS: Final = (
     Scenario("hot-winding", plant(), tuning.hot_winding),
     Scenario("measured", plant(), tuning.measured),
     Scenario("positions", plant(), homing.positions),
+    Scenario("torque-ripple", plant(), homing.torque_ripple),
     Scenario("homing", plant(), homing.homing),
     Scenario("blocked", plant(), homing.blocked),
     Scenario("storage", plant(), storage.storage),

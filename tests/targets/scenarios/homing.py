@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
 from servo_msgs_py.catalogue import Catalogue
 
 from targets.rig import Rig
@@ -63,6 +64,30 @@ def positions(rig: Rig) -> None:
     rig.run(0.01)
     rig.set("cmd.enable", 0)
     rig.run(0.01)
+
+
+def torque_ripple(rig: Rig) -> None:
+    """Feed-forward against torque ripple: before and after homing, in both directions, faded out, switched off."""
+    ready(rig)
+    rig.set_raw("param.features", features("TORQUE_RIPPLE"), features("TORQUE_RIPPLE", "FRICTION"))
+    harmonics = {0: [(12, 1500, 7000), (84, 2500, 50000)], 1: [(1, 300, 0)]}
+    for axis, waves in harmonics.items():
+        block = read_block(rig, axis)
+        for k, wave in enumerate(waves):
+            members = zip(("order", "amplitude", "phase"), wave, strict=True)
+            block |= {f"torque_ripple.{name}[{k}]": raw for name, raw in members}
+        send_block(rig, axis, block)
+    take_blocks(rig, list(harmonics))
+    spin(rig)
+    rig.set("cmd.home_position", 1.0, -200.0)
+    _home(rig, "HERE", "HERE")
+    rig.run(0.1)
+    rig.set_raw("cmd.mode", SPEED, SPEED)
+    for first, second in ((20.0, -200.0), (-60.0, 0.5)):  # half faded out, and completely
+        rig.set("cmd.speed", first, second)
+        rig.run(0.08)
+    rig.set_raw("param.features", features(), features("TORQUE_RIPPLE"))
+    rig.run(0.05)
 
 
 def homing(rig: Rig) -> None:
