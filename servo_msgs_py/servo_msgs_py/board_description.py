@@ -5,8 +5,10 @@ A process works with one board: `DEFAULT_BOARD`, or that of the environment vari
 
 from __future__ import annotations
 
+import errno
 import math
 import os
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -64,6 +66,11 @@ class BoardDescription:
             raise ValueError(f"low_side_time = {self.low_side_time:g} s is no part of the PWM period")
         if not 0.0 <= self.over_current < self.ranges["current"]:
             raise ValueError(f"over_current = {self.over_current:g} A cannot be measured")
+        if not 0.0 <= self.switch_drop < self.ranges["bus_voltage"]:
+            raise ValueError(f"switch_drop = {self.switch_drop:g} V is no part of the bus voltage")
+        for key in ("flash_sectors", "flash_sector_words"):
+            if not isinstance(getattr(self, key), int):
+                raise ValueError(f"{key} = {getattr(self, key)!r} is not a whole number")
         if self.flash_sectors < 2 or self.flash_sectors * self.flash_sector_words > 0x10000:
             raise ValueError(f"{self.flash_sectors} sectors do not hold two copies of up to 65536 words")
         if abs(1e9 * self.period - self.period_ns) > 1e-3:
@@ -116,10 +123,13 @@ class BoardDescription:
         """
         name = name or os.environ.get(VARIABLE) or DEFAULT_BOARD
         path = Path(name) if name.endswith(".toml") else _FOLDER / f"{name}.toml"
-        if not path.is_file():
-            raise OtherBoardError(f"there is no description of the board {name!r}; {_known()}")
         try:
+            if not stat.S_ISREG(path.stat().st_mode):
+                raise OSError(errno.EINVAL, "it is no file")
             return cls.parse(path.stem, read_toml(path))
+        except OSError as error:
+            text = f"there is no description of the board {name!r}: {error.strerror}; {_known()}"
+            raise OtherBoardError(text) from None
         except ValueError as error:
             raise OtherBoardError(f"{path}: {error}") from None
 
