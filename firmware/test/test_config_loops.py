@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from quad_timer import TIMER_CLOCK
+from servo_bench import Bench
 from servo_tuning.assessment import Assessment, assess
 from servo_tuning.configuration import Scales
 from servo_tuning.errors import exactly
@@ -337,6 +338,21 @@ def test_a_load_on_a_spring_is_unstable_where_the_board_oscillates(
     """As measured with the firmware (firmware/doc/oscillation.md)."""
     _, _, sentences = assessed(**sprung(frequency, ratio))
     assert any("axis1.load.stiffness" in sentence for sentence in sentences) == unstable
+
+
+@pytest.mark.parametrize("index", range(2))
+def test_the_smallest_swing_of_an_oscillation_is_that_of_the_firmware(core: Core, index: int) -> None:
+    bench = Bench(core)
+    bench.to_spin(index)
+    swing = bench.axis(index).diagnosis.oscillation.swing_min * 8.25 / 2**15
+    assert swing == pytest.approx(axis(index + 1).oscillation_swing, rel=1e-3)
+
+
+def test_a_swing_that_the_current_limit_does_not_permit_causes_a_warning() -> None:
+    _, _, coarse = assessed(axis1__encoder__lines=100)
+    assert any(s.startswith("axis1.encoder.lines") and "will not find an oscillation" in s for s in coarse)
+    _, _, fine = assessed()
+    assert not any("will not find" in sentence for sentence in fine)
 
 
 def test_a_very_stiff_spring_is_a_rigid_shaft() -> None:

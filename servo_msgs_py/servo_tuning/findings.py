@@ -17,7 +17,7 @@ from servo_tuning.optional import PARTS
 from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.sensorless_constants import needs_observer
 from servo_tuning.sensorless_figures import SensorlessFigures
-from servo_tuning.tuned import Tuned
+from servo_tuning.tuned import DITHER_COUNTS, Tuned
 
 PHASE_MIN: Final = 45.0
 """Recommended phase margin of current and speed loop [degrees]."""
@@ -87,6 +87,7 @@ def findings(design: Tuned, figures: Assessment) -> list[Problem]:
         *_inertias(design, figures),
         *_spring(design),
         *_dither(design),
+        *_blind(design),
         *_position(design, figures),
         *_reach(design, figures),
         *_field_weakening(design),
@@ -129,6 +130,15 @@ def _dither(design: Tuned) -> Iterator[Problem]:
         reason = f"an oscillation of one count at this frequency requires {current:.3g} A, more than {limit:.3g} A"
         reason = f"{reason}, {DITHER_USE_MAX:g} of limits.current: the shaft would not come to rest"
         yield axis.problem(path, reason, lower(path), higher("limits.current"))
+
+
+def _blind(design: Tuned) -> Iterator[Problem]:
+    """The drive finds no oscillation if the current limit does not permit the smallest swing that counts."""
+    axis, swing = design.axis, design.oscillation_swing
+    if swing > 2.0 * axis("limits.current"):
+        reason = f"{DITHER_COUNTS} counts of the encoder per slow tick cause a swing of {swing:.3g} A, more than the"
+        reason = f"{reason} current limit permits: the drive will not find an oscillation"
+        yield axis.problem("encoder.lines", reason, higher("encoder.lines"), lower("control.speed_bandwidth"))
 
 
 def _inertias(design: Tuned, figures: Assessment) -> Iterator[Problem]:

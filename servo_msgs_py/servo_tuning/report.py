@@ -187,6 +187,11 @@ def _moves(design: Tuned, figures: Assessment) -> Iterator[str]:
             f"{load.stiffness:.3g} N m/rad",
             f"within a tenth of the displacement after {1e3 * load.recovery:.0f} ms",
         ),
+        (
+            "oscillations found",
+            f"{design.oscillation_swing:.3g} A",
+            f"and more, peak to peak; none with i_q_limit below {design.oscillation_swing / 2.0:.3g} A",
+        ),
         ("on after reset", "", feature or "nothing"),
     ]
     return notes(rows)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.block import block_of, constants_of
-from servo_tuning.configuration import Axis, Board, Configuration
+from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration
 from servo_tuning.constants import axis_constants
 from servo_tuning.control_loops import ControlLoops, control_loops, pi_of
 from servo_tuning.conversion import AxisConstants, Converter, PiRaw
@@ -19,6 +22,9 @@ from servo_tuning.optional import PARTS, SENSORLESS, SPEED_OBSERVER
 from servo_tuning.sensorless import Sensorless
 from servo_tuning.sensorless_constants import used_observer, used_pll
 from servo_tuning.sensors import PllSpeed
+
+DITHER_COUNTS: Final = 4
+"""Counts of the encoder per slow tick by which the speed of a shaft at rest may dither (drive/speed_control.c)."""
 
 
 class GainRow(NamedTuple):
@@ -53,6 +59,18 @@ class Tuned(ControlLoops):
     def block(self) -> dict[str, int]:
         """The configuration block of a board, raw numbers by member."""
         return block_of(self.constants)
+
+    @property
+    def oscillation_swing(self) -> float:
+        """Smallest swing of the current that the drive finds as an oscillation, peak to peak [A]."""
+        lines = COUNTS_PER_TURN / 4
+        coarse, speed = 1, self.used.speed
+        if self.axis.feedback == FEEDBACKS[0]:
+            coarse = math.ceil(lines / min(self.axis("encoder.lines"), lines))
+        else:
+            speed = self.sensorless.speed
+        dither = DITHER_COUNTS * coarse * 2.0 * math.pi / COUNTS_PER_TURN / self.board.tick
+        return max(self.axis("limits.current") / 4.0, dither * speed.kp)
 
     def rows(self) -> Iterator[GainRow]:
         """All gains."""
