@@ -4,13 +4,13 @@
 
 #define DITHER_COUNTS 4 /* counts of the encoder per slow tick */
 
-/* Feed-forward current, for torque ripple, friction and the acceleration: J alpha / Kt. */
+/* Feed-forward current, for friction and for the acceleration: J alpha / Kt. */
 static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
 {
     const motion_state_t *m = &axis->motion;
-    frac32_t i_q = axis->ripple.current;
+    frac32_t i_q = 0;
     if ((axis->parameter.features & FEATURE_FRICTION) != 0U) {
-        i_q = f32_add(i_q, friction_current(&config->friction, m->shaped_speed));
+        i_q = friction_current(&config->friction, m->shaped_speed);
     }
     /* If the shaft lags the path, its acceleration differs from that of the path. */
     const bool in_time = m->motion != MOTION_POSITION || m->path_forward;
@@ -155,8 +155,8 @@ frac16_t speed_control(axis_t *axis)
     /* The integral part uses the mean speed, i.e. the counted distance. The M/T speed decays for tens of milliseconds
      * after the shaft has stopped; its integral would push the shaft off again. */
     pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
-    const pi_sum_t sum =
-        pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis, axis->config));
+    const frac32_t forward = f32_add(forward_current(axis, axis->config), axis->ripple.current);
+    const pi_sum_t sum = pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward);
     const bool less = restricted(axis);
     const frac16_t limit = less ? restricted_limit(axis, sum < 0) : axis->current_max.q;
     const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));

@@ -34,18 +34,19 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
         axis->motion.position_gain = config->position_gain;
         axis->aligned = false;
     }
-    const bool other_encoder = encoder_lines(&config->encoder) != encoder_lines(&axis->config->encoder);
+    const bool other_encoder =
+        axis->sm.state != STATE_RUN && encoder_lines(&config->encoder) != encoder_lines(&axis->config->encoder);
     axis->config = config;
-    if (axis->sm.state != STATE_RUN) {
+    if (axis->sm.state != STATE_RUN) { /* what follows depends on members that are not live */
         speed_control_start(axis);
         inputs_configure(axis);
+        axis->diagnosis.bus.u_dc_max = config->u_dc_max;
+        axis->diagnosis.bus.u_dc_min = config->u_dc_min;
+        limits_current(axis);
         if (other_encoder) { /* another number of counts per turn: the position is not known any more */
             axis->source->reset(axis);
             homing_forget(axis);
         }
     }
-    axis->diagnosis.bus.u_dc_max = config->u_dc_max;
-    axis->diagnosis.bus.u_dc_min = config->u_dc_min;
     axis->path_limits.stale = true; /* the path filter */
-    limits_current(axis);
 }
