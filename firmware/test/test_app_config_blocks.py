@@ -60,6 +60,8 @@ def test_the_table_has_every_member_of_the_structure_once(core: Core) -> None:
         for name, field in type_.fields:  # type: ignore[attr-defined]
             if field.type.kind == "struct":
                 yield from leaves(field.type, f"{prefix}{name}.")
+            elif field.type.kind == "array":
+                yield from (f"{prefix}{name}[{k}]" for k in range(field.type.length))
             else:
                 yield prefix + name
 
