@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from servo_twin.board import Board, BoardError, ChipError
 from servo_twin.core_speed import CoreSpeed
+from servo_twin.level import ELF_VARIABLE
 from servo_twin.simulation import keep_set_points
 from targets.sources import ROOT
 from targets.toolchain import run
@@ -126,6 +127,14 @@ def test_state_continues_with_the_same_bits(elf: Callable[[str], bytes], board: 
 def test_wrong_file_is_refused(elf: Callable[[str], bytes], damage: Callable[[bytes], bytes], message: str) -> None:
     with pytest.raises(BoardError, match=message):
         Board(elf=damage(elf("-O2")))
+
+
+def test_wrong_file_of_the_environment_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "junk.elf"
+    path.write_bytes(b"junk")
+    monkeypatch.setenv(ELF_VARIABLE, str(path))
+    with pytest.raises(BoardError, match=r"junk\.elf: this is no ELF file"):
+        Board(level="registers")
 
 
 def test_file_needs_the_registers(elf: Callable[[str], bytes]) -> None:

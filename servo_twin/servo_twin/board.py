@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -34,7 +35,7 @@ from servo_twin.board_sampler import BoardSampler
 from servo_twin.board_state import BoardState
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
-from servo_twin.level import ELF_LEVEL, Level, chosen_elf, chosen_level
+from servo_twin.level import ELF_LEVEL, ELF_VARIABLE, Level, chosen_elf, chosen_level
 from servo_twin.plant import FIXED_NAMES, PlantConfig, PlantError
 from servo_twin.servo_config import ServoConfig
 from servo_twin.truth import Truth
@@ -238,7 +239,8 @@ class Board:
         self.catalogue = catalogue or Catalogue.load()
         board = self.catalogue.board.name
         self.firmware = firmware or build_of(board, self.level)
-        if elf is None and firmware is None and self.level == ELF_LEVEL:
+        by_default = elf is None and firmware is None and self.level == ELF_LEVEL
+        if by_default:
             elf = chosen_elf()
         if elf is None and needs_elf(board, self.level):
             raise BoardError(
@@ -278,7 +280,7 @@ class Board:
         if problem != self._ffi.NULL:
             text = self._ffi.string(problem).decode()
             self.close()
-            raise BoardError(text)
+            raise BoardError(f"{os.environ[ELF_VARIABLE]}: {text}" if by_default and elf is not None else text)
 
     # ---- lifetime --------------------------------------------------------------------------------------------------
 
