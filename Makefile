@@ -51,8 +51,14 @@ ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
 # The compiled virtual boards, a stamp for each level. Objects of ../firmware are put beside the folder of objects: each has one of its own.
 BOARDS := $(VENV)/.ideal $(VENV)/.registers $(VENV)/.odrive36 $(VENV)/.odrive36_ideal
+# Board of `demo`, `up` and `experiments`: that of the DSC, unless `make BOARD=...` or SERVO_BOARD names another one. A BOARD of the
+# environment is that of another build system.
+ifeq ($(origin BOARD),environment)
+undefine BOARD
+endif
+CHOSEN_BOARD := $(or $(BOARD),$(SERVO_BOARD))
 # `demo` and `up` of the default board need only its own.
-USED_BOARDS := $(if $(filter-out demo up,$(or $(MAKECMDGOALS),help))$(BOARD),$(BOARDS),$(wordlist 1,2,$(BOARDS)))
+USED_BOARDS := $(if $(filter-out demo up,$(or $(MAKECMDGOALS),help))$(CHOSEN_BOARD),$(BOARDS),$(wordlist 1,2,$(BOARDS)))
 READY := $(VENV)/.native $(USED_BOARDS)
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 PARAMETER_FILES := servo_bridge/config/servo_bridge.yaml servo_twin/config/servo_twin.yaml servo_twin/config/servo_viewer.yaml
@@ -64,13 +70,12 @@ C_PORT := $(filter-out %/startup.c,$(wildcard firmware/port/stm32f405/*.c))
 C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
-# Board of `demo`, `up` and `experiments`: that of the DSC, unless BOARD names another one. `demo` and `up` execute its ELF file, if there
-# is a compiler.
-ifneq ($(BOARD),)
-demo up experiments: export SERVO_BOARD := $(BOARD)
+# `demo` and `up` execute the ELF file of the board, if there is a compiler.
+ifneq ($(CHOSEN_BOARD),)
+demo up experiments: export SERVO_BOARD := $(CHOSEN_BOARD)
 endif
 ELF_odrive36 := firmware/port/stm32f405/build/servo.elf
-ELF := $(if $(shell command -v arm-none-eabi-gcc),$(ELF_$(BOARD)))
+ELF := $(if $(shell command -v arm-none-eabi-gcc),$(ELF_$(CHOSEN_BOARD)))
 ifneq ($(filter-out registers,$(LEVEL)),)
 ELF :=
 endif

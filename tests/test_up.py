@@ -308,6 +308,11 @@ def test_invalid_command_lines_are_refused(arguments: list[str], text: str, caps
         ("--thresholds", "x = 1\n", "thresholds.toml"),
         ("--robot", None, "no such file"),
         ("--robot", "<mujoco", "XML"),
+        (
+            "--robot",
+            '<mujoco><custom><text name="servo.axis1" data="no"/></custom></mujoco>',
+            "not in the model",
+        ),
     ],
 )
 def test_files_are_checked_before_anything_is_started(

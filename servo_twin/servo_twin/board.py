@@ -70,6 +70,9 @@ _MODULES: Final[Mapping[str, Mapping[Level, str]]] = {
 }
 """Compiled modules by board and level."""
 
+ELF_MARK: Final = "+elf:"
+"""Between the hashes of compiled module and ELF file in `Board.build`."""
+
 _LINKED: Final = frozenset({DEFAULT_BOARD})
 """Boards whose firmware is linked with the model at level registers; others execute an ELF file there."""
 
@@ -320,7 +323,7 @@ class Board:
     @property
     def build(self) -> str:
         """SHA-256 of the compiled module, and of the ELF file if there is one: such boards give the same bits."""
-        return f"{self.firmware.build}+elf:{self.elf_sha256}" if self._elf else self.firmware.build
+        return f"{self.firmware.build}{ELF_MARK}{self.elf_sha256}" if self._elf else self.firmware.build
 
     @property
     def elf_sha256(self) -> str:
@@ -396,7 +399,10 @@ class Board:
         self._check()
 
     def follow(self, leader: Leader) -> None:
-        """From now on let the time elapse in the steps of another simulator, which moves shafts (`drive_shaft`)."""
+        """From now on let the time elapse in the steps of another simulator, which moves shafts (`drive_shaft`).
+
+        `state`, `restore` and `copy` are those of the board alone: the leader has its own.
+        """
         self._leader = leader
 
     def _stretches(self, until_ns: int) -> Iterator[int]:

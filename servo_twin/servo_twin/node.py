@@ -50,7 +50,7 @@ from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thre
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.lockstep.worker import TwinWorker
 from servo_twin.plant import PlantConfig
-from servo_twin.robot.command import load as load_robot
+from servo_twin.robot.command import load_on_line
 
 if TYPE_CHECKING:
     from servo_twin.robot.robot_model import RobotModel
@@ -166,7 +166,7 @@ class ServoTwin(Node):
             plant = PlantConfig.load(self._values["plant"] or None)
         with _file_of("robot"):
             name = self._values.get("robot")
-            robot = load_robot(name) if name else None
+            robot = load_on_line(name) if name else None
             plant = plant if robot is None else robot.plant(plant)
         with _file_of("thresholds"):
             return plant, robot, DiagnosisThresholds.load(self._values.get("thresholds") or None, chosen_level())

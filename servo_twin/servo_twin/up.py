@@ -46,8 +46,7 @@ from servo_twin.level import (
 from servo_twin.machine import SPEED_MIN, level_for, simulation_speed
 from servo_twin.plant import PlantConfig
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
-from servo_twin.robot.command import MODEL_HELP
-from servo_twin.robot.command import load as load_robot
+from servo_twin.robot.command import MODEL_HELP, load_on_line
 
 _PATIENCE: Final = 15.0  # until a message about what has not happened yet [s]; nothing fails because it is late
 _LOOK: Final = 3.0  # for a servo on another machine [s]
@@ -359,7 +358,7 @@ def _check_inputs(args: argparse.Namespace) -> None:
     if args.thresholds:
         Thresholds.load(args.thresholds)
     if args.robot:
-        load_robot(args.robot)
+        load_on_line(args.robot)
 
 
 @program("servo-up")

@@ -13,9 +13,9 @@ import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.board_description import DEFAULT_BOARD
 from servo_msgs_py.run_file.reader import RunReader
-from servo_msgs_py.run_file.run_info import RunInfo
+from servo_msgs_py.run_file.run_info import RunInfo, VirtualBoard
 from servo_tuning.reading import SERVO_TOML
-from servo_twin.board import Board, build_of
+from servo_twin.board import ELF_MARK, Board, build_of
 from servo_twin.diagnosis.board_pair import Motion
 from servo_twin.plant import PlantConfig
 from servo_twin.runs.command import main
@@ -276,3 +276,10 @@ def test_a_run_of_another_board_is_refused() -> None:
     info = RunInfo(board={"name": "servo/mine", "hardware": "mine"})
     with pytest.raises(RunError, match="'mine' is not the board"):
         model_of(Contents("/servo", Counter(), info, {}, ()), WhatIf())
+
+
+def test_a_run_of_another_program_is_named() -> None:
+    virtual = VirtualBoard(level="registers", build=f"{build_of(DEFAULT_BOARD, 'registers').build}{ELF_MARK}{'a' * 64}")
+    found = model_of(Contents("/servo", Counter(), RunInfo(virtual_board=virtual), {}, ()), WhatIf()).other_build
+    assert found is not None
+    assert "another program (aaaaaaaa, here the compiled firmware); --elf" in found

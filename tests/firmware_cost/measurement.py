@@ -50,7 +50,7 @@ class Measurement:
 
 
 def fingerprint(programs: Programs, weights: str) -> str:
-    """First half of the SHA-256 of what was measured: equal programs have equal counts.
+    """First half of the SHA-256 of what was measured, and how: equal programs have equal counts.
 
     Parameters
     ----------
@@ -60,6 +60,8 @@ def fingerprint(programs: Programs, weights: str) -> str:
         Text of the file with the weights.
     """
     found = hashlib.sha256(weights.encode())
+    for path in sorted((*Path(__file__).parent.glob("*.py"), *programs.bench.rglob("*.[ch]"))):
+        found.update(path.read_bytes())
     for path in (*(cost_program(programs, loops=loops) for loops in (False, True)), recorder_program(programs)):
         image = path.with_suffix(".bin")
         run([OBJCOPY, "-O", "binary", path, image])

@@ -338,7 +338,7 @@ class Twin:
         difference = self._difference(replica, sample)
         if self._replica is None:
             return None
-        if self._detached and not difference:
+        if self._detached and not difference and all(map(self._rest.at_rest, range(AXES))):
             self._attach_model(replica, {axis.number: axis.shaft(sample) for axis in self._axes})
         self._last_difference = difference
         if self._bursts.sampling:

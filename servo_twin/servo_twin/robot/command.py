@@ -90,6 +90,21 @@ def load(name: str) -> RobotModel:
     return RobotModel(example if example.is_file() else Path(name))
 
 
+def load_on_line(name: str) -> RobotModel:
+    """A model whose only board has a host at its serial line, checked with the packaged plant.
+
+    Raises
+    ------
+    SimulationError
+        If MuJoCo is not installed.
+    ValueError
+        If the file is not valid, or board and model do not fit.
+    """
+    robot = load(name)
+    robot.on_line(PlantConfig.load(), level=FAST_LEVEL).boards[0].close()
+    return robot
+
+
 def export_mjcf(path: Path, plant: PlantConfig, seed: int) -> list[dict[str, object]]:
     """Write a model with the motors of MuJoCo that are nearest to the axes of a board, and their errors.
 

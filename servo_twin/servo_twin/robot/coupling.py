@@ -135,8 +135,8 @@ class RobotDrives:
             board.follow(self)
         try:
             self._start: CoupledState | None = self.state()
-        except BoardError:  # it samples; `reset` says so
-            self._start = None
+        except BoardError as error:
+            self._start, self._no_start = None, str(error)
 
     @property
     def delays(self) -> _Array:
@@ -363,10 +363,10 @@ class RobotDrives:
         Raises
         ------
         CouplingError
-            If a board was sampling then.
+            If there was no state of a board then.
         """
         if self._start is None:
-            raise CouplingError("a board was sampling when it was coupled; end the sampling before that")
+            raise CouplingError(f"no state to go back to: {self._no_start}")
         self.restore(self._start)
 
     def copy(self) -> RobotDrives:

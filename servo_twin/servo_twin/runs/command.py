@@ -24,7 +24,7 @@ from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import FAST_LEVEL, add_level_options, chosen_level, use_elf
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
-from servo_twin.robot.command import load as load_robot
+from servo_twin.robot.command import load_on_line
 from servo_twin.runs import replay_report, spectrum, steps
 from servo_twin.runs.alignment import FIT, RESET, START, shift_of
 from servo_twin.runs.compare import Compared, compare, table
@@ -238,7 +238,7 @@ def _replay(args: argparse.Namespace) -> int:
         level,
         args.seed,
         firmware_of(args.firmware) if args.firmware else None,
-        load_robot(args.robot) if args.robot else None,
+        load_on_line(args.robot) if args.robot else None,
     )
     _check_suffixes(args.output, (*_OUTPUTS, ".json"))
     run = RecordedRun(args.run, args.namespace)

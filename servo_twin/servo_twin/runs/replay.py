@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -19,15 +20,15 @@ from servo_msgs_py.text_file import parse_toml
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
-from servo_twin.board import Board, Firmware, SimulationError, build_of
+from servo_twin.board import ELF_MARK, Board, Firmware, SimulationError, build_of
 from servo_twin.diagnosis.monitor import LocatedFinding
 from servo_twin.diagnosis.thresholds import Thresholds as DiagnosisThresholds
-from servo_twin.level import FAST_LEVEL, LEVELS, Level
+from servo_twin.level import FAST_LEVEL, LEVELS, Level, chosen_elf
 from servo_twin.lockstep.blocks import TAKE, Blocks, checksums_of
 from servo_twin.lockstep.board_topics import BOARD_TOPICS
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
-from servo_twin.robot.command import load as load_robot
+from servo_twin.robot.command import load_on_line
 from servo_twin.runs.divergence import Departure, Divergence, Estimates
 from servo_twin.runs.recorded import Contents, RecordedRun, RunError, message_of
 from servo_twin.servo_config import ServoConfig, servo_table
@@ -137,7 +138,7 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
 def _recorded_robot(recorded: VirtualBoard) -> tuple[RobotModel | None, str]:
     """Model of what the shafts of a virtual board moved, and what is wrong with it; for people."""
     try:
-        robot = load_robot(recorded.robot)
+        robot = load_on_line(recorded.robot)
     except (SimulationError, ValueError) as error:
         return None, f"without the robot that the shafts moved: {error}; --robot gives its model"
     if robot.sha256 != recorded.robot_sha256:
@@ -155,12 +156,19 @@ def _other_build(recorded: VirtualBoard, firmware: Firmware | None) -> str | Non
             own = build_of(Catalogue.load().board.name, level)
     if own is None:
         return None
-    if recorded.build == (build := own.build):
-        return ""
-    return (
-        f"recorded with another build of firmware and model ({recorded.build[:8]}, here {build[:8]}); "
-        "--firmware takes the checkout of the recorded one"
-    )
+    module, _, program = recorded.build.partition(ELF_MARK)
+    if module != (build := own.build):
+        return (
+            f"recorded with another build of firmware and model ({module[:8]}, here {build[:8]}); "
+            "--firmware takes the checkout of the recorded one"
+        )
+    elf = chosen_elf()
+    if program != (here := hashlib.sha256(elf).hexdigest() if elf else ""):
+        return (
+            f"recorded with another program ({program[:8] or 'the compiled firmware'}, here "
+            f"{here[:8] or 'the compiled firmware'}); --elf takes the ELF file of the recorded one"
+        )
+    return ""
 
 
 def _recorded_configuration(contents: Contents) -> ServoConfig | None:
