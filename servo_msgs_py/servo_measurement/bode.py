@@ -93,7 +93,7 @@ def measure(
     report(motion_text(settings, bands))
     total = len(bands) * settings.repeats + _CHECKS
     rig = BodeRig(access, settings, report)
-    with rig.prepared(enable):
+    with rig.prepared(enable, test_mode=not settings.loop.slow):
         initial = rig.value("position")
 
         def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:

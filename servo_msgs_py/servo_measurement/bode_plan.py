@@ -16,11 +16,11 @@ from servo_msgs_py.units import TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
 from servo_measurement.prediction import Prediction, predict
+from servo_measurement.running_axis import SETTLE
 from servo_measurement.test_signal import SweptSine, refuse_test_signal
 
 SWEEP_PART: Final = 0.8  # of a recording; the remainder is for the decay of the response
 BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor during the measurement of a current loop
-SETTLE: Final = 0.3  # settling time at the constant speed [s]
 
 _CYCLES_MIN: Final = 4.0  # of the lowest frequency in a sweep
 _EXTENSION_MAX: Final = 1.3  # the lowest sweep is extended down to f_min by at most this factor, with fewer cycles
@@ -33,7 +33,7 @@ _EXCURSION: Final = 0.7  # of the constant speed: largest speed amplitude, witho
 _DEFAULT_EXCURSION: Final = 30.0  # the same without a constant speed [rad/s]
 _SPEED_PART: Final = {"speed": 0.15, "position": 0.1}  # of the speed limit: default speed
 _RESOLUTIONS: Final = 20.0  # of the M/T method; below this amplitude quantisation changes the gain by percents
-_LINE: Final = 0.5  # communication time on a serial line at the beginning and end of a motion [s]
+LINE: Final = 0.5  # communication time on a serial line at the beginning and end of a motion [s]
 _TIME_MAX: Final = 30.0  # longest motion [s]
 
 
@@ -143,7 +143,7 @@ class Band:
     @property
     def rotation_seconds(self) -> float:
         """Duration of the rotation during the recording [s]."""
-        return SETTLE + _LINE + self.seconds
+        return SETTLE + LINE + self.seconds
 
 
 def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Band, ...]:
@@ -184,7 +184,7 @@ def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settin
     f_min = crossover / _BELOW if request.f_min is None else request.f_min
     f_max = crossover * _ABOVE if request.f_max is None else request.f_max
     f_max = min(f_max, _NYQUIST_PART * prediction.nyquist)
-    travel_max = min(request.travel_max, _free_travel(access, axis))
+    travel_max = min(request.travel_max, free_travel(access, axis))
     speed = 0.0 if request.speed is None else request.speed
     deceleration = access.read("param.acceleration_limit")[axis]
     settings = Settings(
@@ -231,7 +231,7 @@ def _speed_within(travel: float, seconds: float, deceleration: float) -> float:
     return math.sqrt(speed_of_time**2 + 2.0 * deceleration * travel) - speed_of_time
 
 
-def _free_travel(access: BoardAccess, axis: int) -> float:
+def free_travel(access: BoardAccess, axis: int) -> float:
     """Distance to the nearer active soft limit [rad]."""
     word = int(access.read("param.features")[axis])
     if not any(flag.name == "POSITION_LIMITS" for flag in access.catalogue.active("features", word)):

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from servo_msgs_py.timed_points import POINTS_MEASURING, TimedPoint, encode_points
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_measurement.access import BoardAccess, Capture, MeasurementError, refuse_faults
-from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME, AxisUnderTest
-from servo_measurement.bode_plan import BASE_PART, SETTLE, Band, Settings
-from servo_measurement.test_signal import TRIGGER, end_test_signal, start_test_signal
+from servo_measurement.access import BoardAccess, Capture, MeasurementError
+from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME
+from servo_measurement.bode_plan import BASE_PART, Band, Settings
+from servo_measurement.running_axis import RunningAxis
+from servo_measurement.test_signal import TRIGGER, start_test_signal
 
-_TEST_TIME: Final = 5.0  # timeout for the start of mode TEST [s]
-_SEARCH_TIME: Final = 8.0  # timeout for the rotor search [s]
 _STILL_TIME: Final = 5.0  # timeout for the decay of rotor oscillations [s]
 _STILL_READS: Final = 10
-_SETTLE_POLL_TIME: Final = 0.05  # [s]
 _SPEED_TOLERANCE: Final = 0.1  # of the constant speed
 _LEAD_TIME: Final = 0.25  # lead of trajectory points, sufficient for a slow line [s]
 _RAMP: Final = 0.3  # longest acceleration time in a trajectory [s]
 _TICKS_TIME: Final = (1 << 32) * PERIOD_NS * 1e-9  # period of the wrapping board time [s]
 
 
-class BodeRig(AxisUnderTest):
+class BodeRig(RunningAxis):
     """The axis of the measured loop.
 
     Parameters
@@ -43,51 +40,6 @@ class BodeRig(AxisUnderTest):
     def __init__(self, access: BoardAccess, settings: Settings, report: Callable[[str], None]) -> None:
         super().__init__(access, settings.axis, report)
         self._settings = settings
-
-    @property
-    def is_spinning(self) -> bool:
-        return self.substate == "SPIN"
-
-    @contextmanager
-    def prepared(self, enable: bool) -> Iterator[None]:
-        """The axis in SPIN and at rest, or in TEST; afterwards at rest, in its previous mode and state.
-
-        An axis in mode TORQUE holds its position after its set-point has expired. It remains in mode POSITION: mode
-        TORQUE would restart without current, and a load would fall.
-        """
-        test_mode = not self._settings.loop.slow
-        refuse_faults(self.access, self.axis)
-        mode, was_spinning = self.label("mode"), self.is_spinning
-        if was_spinning and test_mode:
-            raise MeasurementError(
-                f"{self.name} is enabled; a current loop is measured in mode TEST: disable the axis first"
-            )
-        if not was_spinning and not enable:
-            raise MeasurementError(f"{self.name} is not enabled; enable it first, or use --enable")
-        if not (abs(self.value("speed")) < HELD_SPEED and self.value("speed_ref") == 0.0):
-            raise MeasurementError(f"{self.name} is in motion; stop it first")
-
-        def rest() -> None:
-            end_test_signal(self.access, self.axis)
-            if self.is_spinning:
-                self.hold()
-
-        def mode_before() -> None:
-            if not was_spinning:
-                return  # the board disables the axis and restores its mode at the end of the session
-            if mode == "TORQUE" and self.is_spinning:
-                self.report(
-                    f"{self.name} holds its position in mode POSITION; it was in mode TORQUE, without a set-point"
-                )
-            else:
-                self.mode(mode)
-            self.access.wait(POLL_TIME)  # until the changes are active
-
-        with self.session((("shaft at rest", rest), ("mode", mode_before))):
-            if not was_spinning:
-                self.mode("TEST" if test_mode else "POSITION")
-                self.enable("TEST" if test_mode else "SPIN", _TEST_TIME if test_mode else _SEARCH_TIME)
-            yield
 
     def recorded(self, band: Band, speed: float, columns: Sequence[str] | None = None) -> Trace:
         """Record one sweep, in motion or at standstill; the shaft rotates until the recorder memory is full.
@@ -109,10 +61,10 @@ class BodeRig(AxisUnderTest):
             if loop.name == "speed":
                 self.mode("SPEED")
                 self.command("cmd.speed", speed)
-                self._settle()
+                self.settle()
             elif speed:
                 self._run_at_speed(speed, band.rotation_seconds)
-                self._settle()
+                self.settle()
             begun = self._position_and_time()
             self.renew()
             start_test_signal(self.access, self.axis, loop.point)
@@ -140,12 +92,6 @@ class BodeRig(AxisUnderTest):
             self._wait_for_standstill()
         names = settings.columns if columns is None else columns
         return self.record(Capture(names, band.samples, band.every, loop.slow, start, TRIGGER, meanwhile=meanwhile))
-
-    def _settle(self) -> None:
-        """Wait for the constant speed."""
-        for _ in range(math.ceil(SETTLE / _SETTLE_POLL_TIME)):
-            self.wait(_SETTLE_POLL_TIME)
-            self.refuse_limits()
 
     def _wait_for_standstill(self) -> None:
         """Wait for the decay of oscillations of a rotor held by a current."""

@@ -69,7 +69,8 @@ class Prediction:
         return self.loops.shaft(observed=self.observed)
 
     @property
-    def _delay(self) -> EdgeDelay | None:
+    def delay(self) -> EdgeDelay | None:
+        """Delay of the speed of the M/T method; None: with the observer, or at standstill."""
         if self.observed or self.speed == 0.0:
             return None
         return edge_delay(self._lines, TICK, abs(self.speed))
@@ -78,7 +79,7 @@ class Prediction:
         if self.loop in _CURRENT_AXES:
             return self.loops.current_loop(_CURRENT_AXES[self.loop]).open.response(omega)
         if self.loop == "speed":
-            return self._shaft.speed_open(omega, self._delay)
+            return self._shaft.speed_open(omega, self.delay)
         return self._shaft.position_open(omega)
 
     def response(self, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:

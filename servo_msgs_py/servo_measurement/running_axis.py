@@ -1,0 +1,71 @@
+"""Axis that runs under control during a measurement, and is afterwards as before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from servo_measurement.access import MeasurementError, refuse_faults
+from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME, AxisUnderTest
+from servo_measurement.test_signal import end_test_signal
+
+SETTLE: Final = 0.3  # settling time at the constant speed [s]
+_TEST_TIME: Final = 5.0  # timeout for the start of mode TEST [s]
+_SEARCH_TIME: Final = 8.0  # timeout for the rotor search [s]
+_SETTLE_POLL_TIME: Final = 0.05  # [s]
+
+
+class RunningAxis(AxisUnderTest):
+    """An axis in SPIN, or in mode TEST; parameters as of `AxisUnderTest`."""
+
+    @property
+    def is_spinning(self) -> bool:
+        return self.substate == "SPIN"
+
+    @contextmanager
+    def prepared(self, enable: bool, *, test_mode: bool = False) -> Iterator[None]:
+        """The axis in SPIN and at rest, or in mode TEST; afterwards at rest, in its previous mode and state.
+
+        An axis in mode TORQUE holds its position after its set-point has expired. It remains in mode POSITION: mode
+        TORQUE would restart without current, and a load would fall.
+        """
+        refuse_faults(self.access, self.axis)
+        mode, was_spinning = self.label("mode"), self.is_spinning
+        if was_spinning and test_mode:
+            raise MeasurementError(
+                f"{self.name} is enabled; a current loop is measured in mode TEST: disable the axis first"
+            )
+        if not was_spinning and not enable:
+            raise MeasurementError(f"{self.name} is not enabled; enable it first, or use --enable")
+        if not (abs(self.value("speed")) < HELD_SPEED and self.value("speed_ref") == 0.0):
+            raise MeasurementError(f"{self.name} is in motion; stop it first")
+
+        def rest() -> None:
+            end_test_signal(self.access, self.axis)
+            if self.is_spinning:
+                self.hold()
+
+        def mode_before() -> None:
+            if not was_spinning:
+                return  # the board disables the axis and restores its mode at the end of the session
+            if mode == "TORQUE" and self.is_spinning:
+                self.report(
+                    f"{self.name} holds its position in mode POSITION; it was in mode TORQUE, without a set-point"
+                )
+            else:
+                self.mode(mode)
+            self.access.wait(POLL_TIME)  # until the changes are active
+
+        with self.session((("shaft at rest", rest), ("mode", mode_before))):
+            if not was_spinning:
+                self.mode("TEST" if test_mode else "POSITION")
+                self.enable("TEST" if test_mode else "SPIN", _TEST_TIME if test_mode else _SEARCH_TIME)
+            yield
+
+    def settle(self) -> None:
+        """Wait for the constant speed."""
+        for _ in range(math.ceil(SETTLE / _SETTLE_POLL_TIME)):
+            self.wait(_SETTLE_POLL_TIME)
+            self.refuse_limits()
