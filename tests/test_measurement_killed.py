@@ -16,6 +16,7 @@ from servo_bridge.tool_commands import Context
 from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import connect
 from servo_measurement.access import MeasurementError
+from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board
 
@@ -63,10 +64,15 @@ def state(board: Board) -> dict[str, list[int]]:
 def arguments_of(command: str, folder: Path) -> list[str]:
     if command == "identify":
         return ["identify", "--voltage", "24", "--current", "4", "--r-on", "0.03", "--out", str(folder)]
+    if command == "ripple":
+        return ["ripple", "axis1", "--enable"]
     return ["bode", "axis1", command, "--enable"]
 
 
-@pytest.mark.parametrize(("command", "end"), [("identify", 6.0), ("identify", 50.0), ("speed", 8.0), ("current", 3.0)])
+@pytest.mark.parametrize(
+    ("command", "end"),
+    [("identify", 6.0), ("identify", 50.0), ("speed", 8.0), ("current", 3.0), ("ripple", 10.0)],
+)
 def test_board_restores_itself_when_the_program_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, end: float
 ) -> None:
@@ -75,6 +81,8 @@ def test_board_restores_itself_when_the_program_is_killed(
     with Board(level="ideal", baud=BAUD, seed=4) as board:
         board.run(0.1)
         board.write("param.speed_limit", [150.0, 300.0])  # changed by the user, not stored
+        if command == "ripple":
+            write_axis(board, "cmd.home", 0, board.catalogue.enums["home_method_t"]["HERE"])
         board.run(0.01)
         before = state(board)
         line = DeadLine(board, end)

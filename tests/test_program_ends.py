@@ -84,10 +84,13 @@ ELSEWHERE: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
         "tests/test_measurement_killed.py",
         "test_board_restores_itself_when_the_program_is_killed",
     ),
-    ("servo-tool bode", "killed"): (
-        "tests/test_measurement_killed.py",
-        "test_board_restores_itself_when_the_program_is_killed",
-    ),
+    **{
+        (f"servo-tool {command}", "killed"): (
+            "tests/test_measurement_killed.py",
+            "test_board_restores_itself_when_the_program_is_killed",
+        )
+        for command in ("bode", "ripple")
+    },
     ("servo-tool bode", "output closed"): (
         "tests/test_bode_on_board.py",
         "test_a_closed_output_leaves_the_files_and_the_board",
@@ -127,6 +130,7 @@ LIKE: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
     },
     ("servo-command effort", "output closed"): ("servo-command velocity", "output closed"),
     ("servo-tool identify", "output closed"): ("servo-tool bode", "output closed"),
+    **{("servo-tool ripple", event): ("servo-tool bode", event) for event in ("signal", "output closed")},
 }
 """Cells whose program does what that of a tested cell does.
 

@@ -26,6 +26,7 @@ from servo_bridge import (
     tool_faults,
     tool_identify,
     tool_record,
+    tool_ripple,
     tool_scope,
     tool_storage,
     tool_tune,
@@ -186,6 +187,9 @@ def _parser() -> argparse.ArgumentParser:
     command = add("bode", tool_bode.bode, "measure the open loop of a controller on the running axis")
     command.description = tool_bode.ABOUT
     tool_bode.add_arguments(command)
+    command = add("ripple", tool_ripple.ripple, "measure the torque ripple of a homed axis; the shaft moves")
+    command.description = tool_ripple.ABOUT
+    tool_ripple.add_arguments(command)
     for name, run, text in (
         (
             "save",

@@ -48,6 +48,12 @@ class Harmonic:
         return f"{{ order = {self.order}, amplitude = {self.amplitude:.6g}, phase = {self.phase:.5g} }}"
 
 
+def fragment(axis: str, harmonics: Sequence[Harmonic]) -> str:
+    """The group of an axis as TOML text; `read_harmonics` reads it."""
+    lines = "".join(f"  {one.toml()},\n" for one in harmonics)
+    return f"[{axis}.{TORQUE_RIPPLE}]\n{HARMONICS} = [" + (f"\n{lines}" if lines else "") + "]\n"
+
+
 def read_harmonics(where: str, table: object) -> tuple[Harmonic, ...]:
     """Check the group.
 
