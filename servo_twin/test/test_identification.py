@@ -437,7 +437,33 @@ def test_a_value_of_zero_is_named_and_asks_for_no_current(tmp_path: Path, monkey
     assert "r_s: 0 ohm is implausible: not determined by the data" in map(str, result.problems)
     assert any(str(one).endswith("is too wide; write --current 0.98 or more") for one in result.problems)
     write_estimates(tmp_path / "estimates.json", result, [])
-    assert json.loads((tmp_path / "estimates.json").read_text())["remedies"] == [{"--current": 0.98}]
+    assert json.loads((tmp_path / "estimates.json").read_text())["remedies"] == [
+        {"problem": "l_d", "alternatives": [{"--current": 0.98}]}
+    ]
+
+
+@pytest.mark.parametrize(
+    ("values", "runs", "end"),
+    [
+        ({"friction": Estimate(1e-3, 1e-3)}, False, "is too wide"),  # of a version that did not note the runs
+        ({"friction": Estimate(0.0, 1e-3)}, True, "is too wide"),
+        ({"friction": Estimate(1e-3, 1e-3)}, True, "--speed-max 87 or more"),
+        ({"l_q": Estimate(1e-3, 1e-4)}, True, "--current 0.98 or more"),  # inertia and flux are undetermined
+    ],
+)
+def test_a_too_wide_interval_is_named_with_any_other_data(
+    values: dict[str, Estimate], runs: bool, end: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = MotorEstimates({"r_s": Estimate(1.0, 1e-3), **values}, {})
+    monkeypatch.setattr(session, "estimates_of", lambda log: found)
+    log = MeasurementLog(
+        0, notes={"limits": dataclasses.asdict(dataclasses.replace(LIMITS, speed=20.0)), "current": 0.4}
+    )
+    if runs:
+        log.notes["runs"] = {"speed": 15.0, "speed_of_voltage": 300.0, "inertia": 1e-5, "travel": [1.0, 1e-3]}
+    problems = [str(one) for one in identified(log, PlantConfig.load(), refined=False).problems]
+    (name,) = values
+    assert [one.endswith(end) for one in problems if one.startswith(f"{name}: the interval")] == [True], problems
 
 
 @pytest.mark.parametrize("part", [0, 30, 5_000, 50_000, None])

@@ -73,7 +73,11 @@ def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> Non
         "bias": result.log.notes.get("bias"),
         "undetermined": dict(result.estimates.undetermined),
         "problems": [str(one) for one in result.problems],
-        "remedies": [_options(remedy) for one in result.problems for remedy in one.remedies],
+        "remedies": [
+            {"problem": one.entry, "alternatives": [_options(remedy) for remedy in one.remedies]}
+            for one in result.problems
+            if one.remedies
+        ],
         "difference": None if refinement is None else {"before": refinement.before, "after": refinement.after},
         "margins": list(lines),
     }

@@ -188,6 +188,9 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> Iterator[Pr
                 reason = "the rotor is so light that a test signal across the vector turns it, whatever its current"
                 yield Problem(f"{fact}: {reason}", name, advice="couple an inertia")
                 continue
+            if name not in OF_CURRENT and not ("runs" in log.notes and math.isfinite(wide[name])):
+                yield Problem(fact, name)  # of an earlier version, or a value of 0: no speed can be told
+                continue
             remedy = more_current if name in OF_CURRENT else _more_speed(log, estimates, wide[name])
             if remedy is None:
                 what = "a current, or a voltage for it," if name in OF_CURRENT else "a speed, or a voltage for it,"
@@ -198,7 +201,10 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> Iterator[Pr
 
 def _moves(estimates: MotorEstimates) -> bool:
     """Whether winding and shaft exchange energy near the frequencies of the test signal for `l_q`."""
-    motor = Motor(**{field.name: estimates[field.name] for field in dataclasses.fields(Motor)})
+    names = [field.name for field in dataclasses.fields(Motor)]
+    if not estimates.values.keys() >= set(names):
+        return False
+    motor = Motor(**{name: estimates[name] for name in names})
     return motor.exchange > MOVES_USE * BAND["q"][0]
 
 
