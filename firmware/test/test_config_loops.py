@@ -16,7 +16,7 @@ from quad_timer import TIMER_CLOCK
 from servo_bench import Bench
 from servo_tuning.assessment import Assessment, assess
 from servo_tuning.configuration import Scales
-from servo_tuning.errors import exactly
+from servo_tuning.errors import Problem, exactly
 from servo_tuning.findings import findings
 from servo_tuning.linear import System, expm, held, margins, poles, spectral_radius
 from servo_tuning.loops import CurrentLoop, In, Out
@@ -353,6 +353,32 @@ def test_a_swing_that_the_current_limit_does_not_permit_causes_a_warning() -> No
     assert any(s.startswith("axis1.encoder.lines") and "will not find an oscillation" in s for s in coarse)
     _, _, fine = assessed()
     assert not any("will not find" in sentence for sentence in fine)
+
+
+@pytest.mark.parametrize(
+    ("feedback", "lines", "inertia", "changed"),
+    [
+        ("encoder", 500, 1e-5, {"encoder.lines": 1000, "control.speed_bandwidth": 20.0, "limits.current": 1.5}),
+        ("encoder", 1000, 2.4e-5, {"control.speed_bandwidth": 20.0, "limits.current": 2.0}),
+        ("observer", 500, 2.4e-5, {"observer.speed_part": 0.3, "control.speed_bandwidth": 20.0, "limits.current": 2.0}),
+    ],
+)
+def test_each_remedy_of_a_swing_above_the_limit_permits_one(
+    feedback: str, lines: int, inertia: float, changed: dict[str, float]
+) -> None:
+    changes: dict[str, object] = {"axis1__feedback": feedback, "axis1__encoder__lines": lines}
+    changes |= {"axis1__motor__inertia": inertia, "axis1__limits__acceleration": 200.0}
+    changes |= {"axis1__limits__current": 1.0, "axis1__rotor_search__current": 1.0, "axis1__observer__speed_part": 1.0}
+
+    def blind(**others: object) -> list[Problem]:
+        design = axis(**{**changes, **others})
+        return [one for one in findings(design, assess(design)) if "will not find an oscillation" in one.fact]
+
+    (found,) = blind()
+    assert {one.entry for one in found.remedies} == {f"axis1.{path}" for path in changed}
+    assert found.entry == f"axis1.{next(iter(changed))}"
+    for path, value in changed.items():
+        assert not blind(**{f"axis1__{path.replace('.', '__')}": value}), path
 
 
 def test_a_very_stiff_spring_is_a_rigid_shaft() -> None:

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
+from servo_msgs_py.units import COUNTS_PER_TURN
+
 from servo_tuning.assessment import Assessment
-from servo_tuning.configuration import Axis
+from servo_tuning.configuration import FEEDBACKS, Axis
 from servo_tuning.errors import Problem, Remedy, exactly, higher, lower
 from servo_tuning.field_weakening import field_weakening_loops
 from servo_tuning.gains import current_bandwidth_min
@@ -135,10 +137,17 @@ def _dither(design: Tuned) -> Iterator[Problem]:
 def _blind(design: Tuned) -> Iterator[Problem]:
     """The drive finds no oscillation if the current limit does not permit the smallest swing that counts."""
     axis, swing = design.axis, design.oscillation_swing
-    if swing > 2.0 * axis("limits.current"):
-        reason = f"{DITHER_COUNTS} counts of the encoder per slow tick cause a swing of {swing:.3g} A, more than the"
-        reason = f"{reason} current limit permits: the drive will not find an oscillation"
-        yield axis.problem("encoder.lines", reason, higher("encoder.lines"), lower("control.speed_bandwidth"))
+    if swing <= 2.0 * axis("limits.current"):
+        return
+    changes = [lower("control.speed_bandwidth"), higher("limits.current")]
+    if axis.feedback != FEEDBACKS[0]:
+        changes.insert(0, lower("observer.speed_part"))
+    elif axis("encoder.lines") < COUNTS_PER_TURN / 4:  # the position has no finer counts
+        changes.insert(0, higher("encoder.lines"))
+    reason = (
+        f"{DITHER_COUNTS} counts per slow tick cause a swing of {swing:.3g} A, more than the current limit permits:"
+    )
+    yield axis.problem(changes[0].entry, f"{reason} the drive will not find an oscillation", *changes)
 
 
 def _inertias(design: Tuned, figures: Assessment) -> Iterator[Problem]:
