@@ -162,6 +162,13 @@ HEAVY: dict[str, object] = {
 
 FITTED: dict[str, object] = {"board__brake__fitted": True}
 
+
+def slow_current(bandwidth: float, r_s: float, **others: object) -> dict[str, object]:
+    """Current controllers that take long to overcome the voltage that dead time and switches take."""
+    control = {"current_bandwidth": bandwidth, "speed_bandwidth": bandwidth / 12.0, "position_gain": 0.1 * bandwidth}
+    return {f"axis1__control__{key}": value for key, value in control.items()} | {"axis1__motor__r_s": r_s} | others
+
+
 TOGETHER = [
     # limits beyond the full scales of the contract
     case("axis1.limits.current = 9", "0.1 .. 4 A"),
@@ -256,6 +263,27 @@ TOGETHER = [
     case("axis1: omega_n Ts", "path_omega_n_ts", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
     case("axis1.rotor_search.ramp_time: current", "rotor_search.current_step", axis1__rotor_search__ramp_time=1e-4),
     # times
+    case(
+        "axis1: slow ticks of the search = 100000",
+        "write axis1.rotor_search.time_max = 32.7",
+        axis1__rotor_search__time_max=50.0,
+    ),
+    case(
+        "axis1: slow ticks of the search = 137869",
+        "write axis1.control.current_bandwidth = 41",
+        **slow_current(20.0, 0.05),
+    ),
+    case(
+        "axis1.rotor_search.ramp_time (in [defaults.rotor_search]): current per slow tick",
+        "write axis1.control.current_bandwidth",
+        **slow_current(1.0, 5e-4, axis1__rotor_search__current=0.1, axis1__friction__coulomb=1e-5),
+    ),
+    case(
+        "axis1: slow ticks of the hold = 80000",
+        "write axis1.rotor_search.hold_time = 32.7",
+        axis1__rotor_search__hold_time=40.0,
+        axis1__rotor_search__time_max=400.0,
+    ),
     case("axis1.timing.stall_max = 32.7675", "65534"),
     case("axis1.timing.stall_max = 40", "write 32.7 or less"),
     case("axis1.timing.settle = 0.0001", "vanish"),

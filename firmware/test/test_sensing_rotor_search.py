@@ -11,6 +11,7 @@ import pytest
 from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
+from servo_tuning.rotor_search import GROWTH_MAX, LOW_CURRENT, LOW_CURRENT_PERIODS
 from shaft_model import SLOW, Shaft
 
 PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED, STARVED, HOLD, DIRECTION = range(12)
@@ -586,19 +587,42 @@ def test_the_brake_reverses_the_full_current_in_four_steps_and_holds_it_as_long_
     assert currents == [*reversal, *[-full] * 5, -full + stepped.config.current_step]
 
 
-@pytest.mark.parametrize(("reach", "times"), [(32768, 1), (16384, 1), (8192, 2), (4096, 4), (2048, 4)])
-def test_the_current_grows_faster_within_narrower_bounds(stepped: Stepped, reach: int, times: int) -> None:
+@pytest.mark.parametrize(
+    ("reach", "times"), [(32768, 1), (16384, 1), (8192, 2), (4096, GROWTH_MAX), (2048, GROWTH_MAX)]
+)
+def test_the_current_grows_faster_within_narrower_bounds(stepped: Stepped, reach: int, times: float) -> None:
     stepped.state.reach = reach
     stepped.step(0)
     assert stepped.state.current == times * stepped.config.current_step
 
 
-@pytest.mark.parametrize(("periods", "phase"), [(63, PULL), (64, STARVED)])
+@pytest.mark.parametrize(("periods", "phase"), [(LOW_CURRENT_PERIODS - 1, PULL), (LOW_CURRENT_PERIODS, STARVED)])
 def test_missing_current_for_64_consecutive_periods_ends_in_starved(stepped: Stepped, periods: int, phase: int) -> None:
     stepped.to_full_current()
     for current, times in ((0, 63), (stepped.config.current_limit, 1), (0, periods)):
         for _ in range(times):
             stepped.lib.rotor_search_add(stepped.state, stepped.config, current, 0)
+    stepped.step(0)
+    assert stepped.state.phase == phase
+
+
+@pytest.mark.parametrize(
+    ("requested", "measured", "phase"),
+    [
+        (1.0, 0.98 * LOW_CURRENT, STARVED),
+        (1.0, 1.02 * LOW_CURRENT, PULL),
+        (1.02 * LOW_CURRENT, 0.0, STARVED),
+        (0.98 * LOW_CURRENT, 0.0, PULL),
+    ],
+)
+def test_the_tuning_rules_know_which_current_is_low(
+    stepped: Stepped, requested: float, measured: float, phase: int
+) -> None:
+    """Currents relative to the limit, and measured relative to the requested one."""
+    current = requested * stepped.config.current_limit
+    stepped.state.current = round(current) << 16
+    for _ in range(LOW_CURRENT_PERIODS):
+        stepped.lib.rotor_search_add(stepped.state, stepped.config, round(measured * current), 0)
     stepped.step(0)
     assert stepped.state.phase == phase
 

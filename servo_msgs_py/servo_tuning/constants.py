@@ -10,7 +10,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 from servo_tuning.braking import pin_constants, stop_constants
 from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration
 from servo_tuning.conversion import AxisConstants, Converter, Fraction, Switches, Value, rounded
-from servo_tuning.errors import Remedy, either, lower
+from servo_tuning.errors import Remedy, either, higher, lower
 from servo_tuning.field_weakening import field_weakening_constants
 from servo_tuning.formats import FRAC16, UINT16, fixed_point
 from servo_tuning.gains import Gains
@@ -31,10 +31,13 @@ SILENT_USE: Final = 0.8
 LINES_PER_RELOAD: Final = 8192
 """Lines of the encoder with which a turn fits the 16-bit counter; with more it reloads twice per turn."""
 
+Changes = tuple[Remedy | str, ...]
+
 _LINES: Final = "correct encoder.lines"
 _HARDWARE: Final = "correct the description of the board"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
-_SWING: Final = "raise rotor_search.current, or correct motor.inertia"
+_SWING: Final[Changes] = ("raise rotor_search.current, or correct motor.inertia",)
+_LOST_VOLTAGE: Final[Changes] = (higher("control.current_bandwidth"), "correct motor.r_s, motor.l_d or motor.l_q")
 _SLOWER_CURRENT: Final = lower("control.current_bandwidth")
 _SLOWER: Final = (either("control.speed_bandwidth"), "correct motor.inertia or motor.psi_m")
 
@@ -123,7 +126,7 @@ def _sensing(to: Converter) -> dict[str, Value]:
         f"{search}.current_step": Fraction(
             axis.entry("rotor_search.ramp_time", "current per slow tick"),
             axis("rotor_search.current") / s.i * board.tick / found.ramp,
-            (axis.named(either("rotor_search.ramp_time")),),
+            tuple(map(axis.named, _changes_of(axis, "ramp", found.ramp, _LOST_VOLTAGE))),
         ),
         f"{search}.current_slew": to.of(
             "change of the search current per slow tick",
@@ -131,14 +134,16 @@ def _sensing(to: Converter) -> dict[str, Value]:
             _SLOWER_CURRENT,
         ),
         f"{search}.current_limit": to.at("rotor_search.current", 1.0 / s.i),
-        f"{search}.hold_ticks": to.of("slow ticks of the hold", found.hold / board.tick, _SWING),
+        f"{search}.hold_ticks": to.of(
+            "slow ticks of the hold", found.hold / board.tick, *_changes_of(axis, "hold", found.hold, _SWING)
+        ),
         f"{search}.rest_ticks": to.ticks("rotor_search.rest_time"),
         f"{search}.move_counts": to.at("rotor_search.move_counts", 1.0),
         f"{search}.verify_angle": to.at("rotor_search.verify_angle", 65536.0 / 360.0),
         f"{search}.verify_step": to.of(
             "rotation of the vector per slow tick in the verification",
             65536.0 * axis("rotor_search.verify_angle") / 360.0 * board.tick / found.verify,
-            either("rotor_search.verify_time"),
+            *_changes_of(axis, "verify", found.verify, _SWING),
         ),
         f"{search}.angle_per_count": to.of("search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
         f"{search}.interval": to.of(
@@ -146,6 +151,26 @@ def _sensing(to: Converter) -> dict[str, Value]:
         ),
         **_follow(to),
     }
+
+
+def _changes_of(axis: Axis, phase: str, used: float, others: Changes) -> Changes:
+    """Changes of the time of a phase of the search [s]: of its entry, or others if it is longer than the entry."""
+    path = f"rotor_search.{phase}_time"
+    return (either(path),) if used <= axis(path) else others
+
+
+def _search_changes(axis: Axis, found: RotorSearch) -> Changes:
+    """Changes of the longest part of the search."""
+    if axis("rotor_search.time_max") > found.longest:
+        return (lower("rotor_search.time_max"),)
+    phases = {
+        "ramp": (found.halvings, found.ramp, _LOST_VOLTAGE),
+        "hold": (found.halvings, found.hold, _SWING),
+        "rest": (found.halvings, axis("rotor_search.rest_time"), ()),
+        "verify": (4, found.verify, _SWING),
+    }
+    longest = max(phases, key=lambda phase: phases[phase][0] * phases[phase][1])
+    return _changes_of(axis, longest, *phases[longest][1:])
 
 
 def _search_slew(axis: Axis, board: Board) -> float:
@@ -202,7 +227,7 @@ def _motion(to: Converter, gains: Gains) -> dict[str, Value]:
     board, s = to.board, to.s
     step = s.speed * board.tick * COUNTS_PER_TURN / (2.0 * math.pi)  # position counts per slow tick at full-scale speed
     entries = ("control.path_current_use", "limits.current", "limits.speed")
-    path: tuple[Remedy | str, ...] = (*map(either, entries), "correct motor.inertia or motor.psi_m")
+    path: Changes = (*map(either, entries), "correct motor.inertia or motor.psi_m")
     return {
         "speed": to.pi("speed", "speed controller", gains.speed, s.speed / s.i, *_SLOWER),
         "position_gain": to.at("control.position_gain", 2.0 * math.pi / COUNTS_PER_TURN / s.speed),
@@ -279,7 +304,7 @@ def _limits(to: Converter) -> dict[str, Value]:
 
 
 def _supervision(to: Converter) -> dict[str, Value]:
-    s = to.s
+    s, search = to.s, RotorSearch.of(to.axis, to.board)
     times = {
         "shaft.following_ticks_max": "timing.following_max",
         "shaft.over_speed_ticks_max": "timing.over_speed_max",
@@ -295,7 +320,7 @@ def _supervision(to: Converter) -> dict[str, Value]:
         "shaft.runaway_margin": to.at("timing.runaway_margin", 1.0 / s.speed),
         "stop_speed": to.at("timing.stop_speed", 1.0 / s.speed),
         "search_ticks_max": to.of(
-            "slow ticks of the search", RotorSearch.of(to.axis, to.board).time_max / to.board.tick, _SWING
+            "slow ticks of the search", search.time_max / to.board.tick, *_search_changes(to.axis, search)
         ),
         **{field: to.ticks(path) for field, path in times.items()},
     }

@@ -17,13 +17,14 @@ VERIFY_SWINGS: Final = 4.0
 
 
 GROWTH_MAX: Final = 4.0
-"""Largest growth of the current over that of the first vectors (``sensing/rotor_search.c``)."""
+"""Largest growth of the current over that of the first vectors, as in the firmware."""
 
 LOW_CURRENT: Final = 0.25
-"""Part of the requested current below which the current of the search is low, from this part of the limit on."""
+"""Part of the requested current below which the current of the search is low, as in the firmware; from this part of the
+limit on."""
 
-LOW_CURRENT_TIME: Final = 4e-3
-"""Time of a low current that ends the search (``sensing/rotor_search.h``) [s]."""
+LOW_CURRENT_PERIODS: Final = 64
+"""PWM periods of a low current that end the search, as in the firmware."""
 
 LOST_MARGIN: Final = 1.2
 """Margin of the voltage that dead time and switches take from a vector."""
@@ -76,17 +77,17 @@ def _overcoming_time(axis: Axis, board: Board) -> float:
     current loses a voltage in proportion.
     """
     omega = 2.0 * math.pi * axis("control.current_bandwidth")
-    current = axis("rotor_search.current")
+    current, low_time = axis("rotor_search.current"), LOW_CURRENT_PERIODS * board.period
     inductance, voltage = min(axis("motor.l_d"), axis("motor.l_q")), board("nominal_voltage")
     lost = 4.0 / 3.0 * (voltage * board("dead_time") / board.period + board("switch_drop"))
     lost *= min(1.5 * LOW_CURRENT**2 * current * inductance / (voltage * board("dead_time")), 1.0)
     proportional = LOW_CURRENT * omega * inductance * current
     integral = omega * axis("motor.r_s") * current  # change of the voltage with the full current [V/s]
     # at the time x / 4 + T: integral / (2 x) (x / 4 + T)^2 = lost - proportional, with x: ramp of the fastest growth
-    needed = 2.0 * max(LOST_MARGIN * lost - proportional, 0.0) / integral - 0.5 * LOW_CURRENT_TIME
-    if needed <= 0.5 * LOW_CURRENT_TIME:
+    needed = 2.0 * max(LOST_MARGIN * lost - proportional, 0.0) / integral - 0.5 * low_time
+    if needed <= 0.5 * low_time:
         return 0.0
-    return GROWTH_MAX * 8.0 * (needed + math.sqrt(needed**2 - 0.25 * LOW_CURRENT_TIME**2))
+    return GROWTH_MAX * 8.0 * (needed + math.sqrt(needed**2 - 0.25 * low_time**2))
 
 
 def count_angle(axis: Axis) -> float:
