@@ -171,11 +171,14 @@ class MotorRig(AxisUnderTest):
         from the distance of the first run it is known how far.
         """
         coasting = 0.0  # distance over the square of the speed [s^2/rad]
-        for _ in range(_ROOM_RUNS):
+        for run in range(_ROOM_RUNS + 1):
             self.wait_for_rest(HELD_SPEED)
             position = self.value("position")
             if position - self._low >= below and self._high - position >= above:
                 return
+            if run == _ROOM_RUNS:
+                text = f"{run} runs have not led to the middle of {self.limits.turns:.3g} revolutions to each side"
+                raise MeasurementError(text, "raise --turns-max", about="turns")
             way = 0.5 * (self._low + self._high) - position
             top = min(speed, math.sqrt(abs(way) * acceleration))
             if coasting:

@@ -71,6 +71,7 @@ PULSES: Final = "pulses"
 ROUNDS: Final = 7
 INDUCTANCE_PART: Final = 0.3  # largest half interval of the first inductance, relative to its value
 EXPLAINED_MIN: Final = 0.9  # part of the current explained by a response that is above the noise
+SHARE_MIN: Final = 0.1  # the same of a response to which a current can be told that is enough
 LOOP: Final = 400.0  # bandwidth of the current loop with known inductance [Hz]
 TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
@@ -299,9 +300,12 @@ class MotorTest:
             kp = gain
         self._refuse_small_current()
         text = f"the current does not respond to a test signal of {SWEEP['d'] * self._current:.2g} A"
+        other = "check the connection of all three motor wires"
+        if share < SHARE_MIN:
+            raise MeasurementError(text, other, about="test signal")
         # noise is what is not explained; its power relative to the response falls with the square of the current
-        noise = (1.0 - share) / max(share, 1e-3) * EXPLAINED_MIN / (1.0 - EXPLAINED_MIN)
-        self._refuse_signal(text, math.sqrt(noise), "check the connection of all three motor wires")
+        noise = (1.0 - share) / share * EXPLAINED_MIN / (1.0 - EXPLAINED_MIN)
+        self._refuse_signal(text, math.sqrt(noise), other)
 
     def _refuse_signal(self, text: str, factor: float, other: str) -> NoReturn:
         """Refuse a test signal that is too small by a factor, with the current that is enough, if there is one."""
@@ -376,8 +380,8 @@ class MotorTest:
         try:
             self._values.update(flux_of(self.log, self._values["l_d"].value, pairs))
         except MeasurementError as error:
-            if limit >= TURN_FAST[0]:
-                raise
+            if limit >= TURN_FAST[0] or not all(shaft_follows(one, rig.name, pairs) for one in slow):
+                raise  # not because of the speed
             raise MeasurementError(
                 f"{error}, or {rig.limits.speed:.3g} rad/s are too slow",
                 higher("--speed-max", rounded_up(TURN_FAST[0] / (TURN_USE * pairs))),
@@ -467,11 +471,11 @@ class MotorTest:
         rig = self._rig
         travel_max, target = 0.25 * rig.limits.turns * 2.0 * math.pi, 0.25 * self._speed_max()
         # upwards, because a light shaft runs away with the current that a heavy one needs
-        part = min(self._friction_current / rig.limits.current + PULSE_FIRST, PULSE)
+        part, direction = min(self._friction_current / rig.limits.current + PULSE_FIRST, PULSE), 1.0
         while True:
             current, longest = part * rig.limits.current, PULSE_TIME if part < PULSE else PULSE_MAX
             start, begin = rig.value("position"), rig.access.read("tick")[0]
-            rig.command("cmd.i_q", current)
+            rig.command("cmd.i_q", direction * current)
             seconds = reached = moved = 0.0
             while seconds < longest and moved < travel_max and (reached < target or moved < MOVED):
                 rig.wait(0.002)
@@ -483,6 +487,7 @@ class MotorTest:
             refuse_faults(rig.access, rig.axis)
             braking = current * seconds / (max(reached, 1.0) * BRAKE_TIME)
             self._brake(braking, current)
+            direction = -direction  # the shaft remains near the middle of its limits
             if moved >= MOVED and (reached >= target or part >= PULSE):
                 break
             if part >= 1.0 and slowed:
@@ -497,9 +502,9 @@ class MotorTest:
         every = max(math.ceil(4.5 * seconds / TICK / rig.capacity(_SPIN)), 1)
         samples = max(int(2.2 * seconds / TICK / every), 12)
         recordings = []
-        for direction in (-1.0, 1.0):
+        for first in (direction, -direction):
 
-            def pulse(direction: float = direction) -> None:
+            def pulse(direction: float = first) -> None:
                 rig.start_signal("D")
                 for part_of_time, torque in ((1.0, direction), (0.7, -direction)):
                     rig.command("cmd.i_q", torque * current)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import random
 from collections.abc import Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Final
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from servo_measurement import motor_test
+from servo_measurement import estimation, motor_rig, motor_test
 from servo_measurement.access import FAULT, MeasurementError
 from servo_measurement.dead_time import rounded_down, rounded_up
 from servo_measurement.motor_config import corrected, fitted, tuned_axis
@@ -239,6 +240,49 @@ def test_the_voltage_is_enough_for_a_current_that_is_named_instead(r_s: float) -
     assert remedy.value is not None
     largest = VOLTAGE_USE * 24.0 / math.sqrt(3.0) / r_s
     assert 0.75 * largest < remedy.value <= largest
+
+
+def test_no_current_is_told_if_there_is_no_response(monkeypatch: pytest.MonkeyPatch) -> None:
+    def without_response(*_: object, **__: object) -> None:
+        raise ValueError
+
+    monkeypatch.setattr(motor_test, "impedance", without_response)
+    monkeypatch.setattr(motor_test, "ROUNDS", 1)
+    monkeypatch.setattr(MotorTest, "_refuse_small_current", lambda *_, **__: None)
+    error = refusal(PLANT, LIMITS)
+    assert error is not None
+    assert str(error).endswith("test signal of 1.1 A: check the connection of all three motor wires")
+
+
+def test_no_speed_is_named_for_a_shaft_that_follows_no_vector(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (motor_test, estimation):
+        monkeypatch.setattr(module, "shaft_follows", lambda recording, name, pairs: False)
+    error = refusal(PLANT, dataclasses.replace(LIMITS, speed=20.0))
+    assert error is not None
+    assert "it is blocked" in str(error)
+    assert not error.remedies
+
+
+def test_pulses_of_growing_current_alternate_their_direction(monkeypatch: pytest.MonkeyPatch) -> None:
+    speeds: list[float] = []
+    brake = MotorTest._brake
+
+    def noting(test: MotorTest, gain: float, maximum: float) -> None:
+        speeds.append(test._rig.value("speed"))
+        brake(test, gain, maximum)
+
+    monkeypatch.setattr(MotorTest, "_brake", noting)
+    assert refusal(PLANT.with_axis(0, inertia=1e-4), LIMITS) is None
+    before = speeds[:-2]  # the last two pulses are recorded
+    assert len(before) >= 3
+    assert all(one * other < 0.0 for one, other in itertools.pairwise(before))
+
+
+def test_a_shaft_without_room_for_the_next_recording_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motor_rig, "_ROOM_RUNS", 0)
+    error = refusal(PLANT, dataclasses.replace(LIMITS, turns=3.0))
+    assert error is not None
+    assert error.about == "turns"
 
 
 def test_a_current_that_does_not_settle_is_not_called_a_high_resistance(monkeypatch: pytest.MonkeyPatch) -> None:
