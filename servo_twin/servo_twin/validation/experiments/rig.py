@@ -114,6 +114,16 @@ def spinning(plant: PlantConfig, seed: int) -> Iterator[Board]:
         yield board
 
 
+def after_snapshot(board: Board) -> int:
+    """Run until the snapshot of the present tick is complete; returns the time [ns].
+
+    At level registers the slow loop with its snapshot may extend into the next PWM period.
+    """
+    if board.level == "registers":
+        board.advance(board.time_ns + (PERIOD_NS - board.time_ns) % TICK_NS)
+    return board.time_ns
+
+
 def record(
     board: Board,
     axes: Sequence[int],
@@ -147,10 +157,7 @@ def record(
         If an axis has a fault and `may_fail` is false.
     """
     ticks = round(seconds / TICK)
-    start = board.time_ns
-    if board.level == "registers":  # the slow loop with its snapshot may extend into the next PWM period
-        start += (PERIOD_NS - start) % TICK_NS
-        board.advance(start)
+    start = after_snapshot(board)
     truths: dict[int, list[tuple[float, float, float, float, float]]] = {axis: [] for axis in axes}
     rows: list[bytes] = []
     for k in range(ticks):

@@ -16,7 +16,7 @@ from servo_msgs_py.units import TICK, TICK_NS
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
-from servo_twin.validation.experiments.rig import fresh_board
+from servo_twin.validation.experiments.rig import after_snapshot, fresh_board
 
 BOOT: Final = 0.03  # reset to STOP [s]
 START_MAX: Final = 3.0  # timeout of a start-up [s]
@@ -138,7 +138,7 @@ def follow(
     act : callable, optional
         Called before each tick with its number; the run ends when it returns True.
     """
-    start = board.time_ns
+    start = after_snapshot(board)
     rows: list[bytes] = []
     samples: dict[int, list[tuple[float, ...]]] = {axis: [] for axis in axes}
     poles = {axis: board.plant.axes[axis].pole_pairs for axis in axes}
