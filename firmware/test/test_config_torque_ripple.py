@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import pytest
 from servo_msgs_py.catalogue import Catalogue
@@ -13,11 +13,16 @@ from servo_tuning.reading import SERVO_TOML, parse, read_table
 from servo_tuning.torque_ripple import Harmonic
 from servo_tuning.tuned import tuned
 
+WAVE: Final = {"order": 12, "amplitude": 0.01, "phase": 0.0}
+SLOW: Final = {"current_bandwidth": 13.0, "speed_bandwidth": 5.0, "position_gain": 5.0}
+"""A time constant of more than a turn at full-scale speed."""
 
-def configured(harmonics: Any) -> tuple[Axis, dict[str, int]]:
-    """Axis 1 of the committed file with these harmonics, and its block."""
+
+def configured(harmonics: Any, **groups: dict[str, float]) -> tuple[Axis, dict[str, int]]:
+    """Axis 1 of the committed file with these harmonics and entries of other groups, and its block."""
     table = read_table(SERVO_TOML)
-    table["axis1"] = {**table["axis1"], "torque_ripple": {"harmonics": harmonics}}
+    axis = {**table["axis1"], "torque_ripple": {"harmonics": harmonics}}
+    table["axis1"] = {**axis, **{name: {**axis.get(name, {}), **entries} for name, entries in groups.items()}}
     configuration = parse(table, Catalogue.load())
     return configuration.axes[0], tuned(configuration.axes[0], configuration).block
 
@@ -38,9 +43,16 @@ def test_members_are_the_current_opposite_to_the_torque() -> None:
 
 def test_lead_is_the_delay_of_schedule_and_current_loop() -> None:
     """7.2 PWM periods and the time constant of a current loop of 1 kHz, at 5000 rpm."""
-    _, block = configured([])
+    _, block = configured([WAVE])
     seconds = block["torque_ripple.lead"] / 2**31 / (5000.0 / 60.0)
     assert seconds == pytest.approx(7.2 / 16000.0 + 1.0 / (2.0 * math.pi * 1000.0), rel=1e-6)
+
+
+def test_a_slow_current_loop_is_refused_only_with_harmonics() -> None:
+    _, block = configured([], control=SLOW)
+    assert block["torque_ripple.lead"] == 0
+    with pytest.raises(ConfigError, match=r"delay of the ripple compensation.*raise axis1\.control.current_bandwidth"):
+        configured([WAVE], control=SLOW)
 
 
 def test_a_printed_harmonic_is_read_again() -> None:

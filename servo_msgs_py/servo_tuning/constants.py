@@ -265,13 +265,13 @@ voltage changes, half of the 8 for which it is held."""
 def _torque_ripple(to: Converter) -> dict[str, Value]:
     axis, s = to.axis, to.s
     members = ripple_members(axis.harmonics, axis.torque_constant * s.i)
-    lead = RIPPLE_PERIODS * to.board.period + 1.0 / (2.0 * math.pi * axis("control.current_bandwidth"))
+    bandwidth = "control.current_bandwidth"
+    lead = RIPPLE_PERIODS * to.board.period + 1.0 / (2.0 * math.pi * axis(bandwidth))
+    turns = lead * s.speed / 2.0 / math.pi if axis.harmonics else 0.0  # a slow loop without harmonics is permitted
     where = f"{axis.name}.{TORQUE_RIPPLE}.{HARMONICS}"
     return {
         **{path: Fraction(where, value, ("write smaller amplitudes",)) for path, value in members.items()},
-        "torque_ripple.lead": to.of(
-            "angle during the delay of the ripple compensation", lead * s.speed / 2.0 / math.pi
-        ),
+        "torque_ripple.lead": to.of("angle during the delay of the ripple compensation", turns, higher(bandwidth)),
     }
 
 

@@ -67,12 +67,12 @@ def positions(rig: Rig) -> None:
 
 
 def torque_ripple(rig: Rig) -> None:
-    """Feed-forward against torque ripple: before and after homing, in both directions, faded out, switched off."""
+    """Feed-forward against torque ripple: before and after homing, other harmonics, both directions, faded out, off."""
     ready(rig)
     rig.set_raw("param.features", features("TORQUE_RIPPLE"), features("TORQUE_RIPPLE", "FRICTION"))
     harmonics = {0: [(12, 1500, 7000), (84, 2500, 50000)], 1: [(1, 300, 0)]}
     for axis, waves in harmonics.items():
-        block = read_block(rig, axis)
+        block = read_block(rig, axis) | {"torque_ripple.lead": 2**31 // 20}
         for k, wave in enumerate(waves):
             members = zip(("order", "amplitude", "phase"), wave, strict=True)
             block |= {f"torque_ripple.{name}[{k}]": raw for name, raw in members}
@@ -82,6 +82,8 @@ def torque_ripple(rig: Rig) -> None:
     rig.set("cmd.home_position", 1.0, -200.0)
     _home(rig, "HERE", "HERE")
     rig.run(0.1)
+    send_block(rig, 0, read_block(rig, 0) | {"torque_ripple.amplitude[0]": 900})
+    take_blocks(rig, [0])
     rig.set_raw("cmd.mode", SPEED, SPEED)
     for first, second in ((20.0, -200.0), (-60.0, 0.5)):  # half faded out, and completely
         rig.set("cmd.speed", first, second)
