@@ -73,11 +73,11 @@ static bool is_erased(hal_t *hal, uint16_t copy)
     return i == STORED_ROOM;
 }
 
-/* True if the checksum of the copy is valid, for any layout. */
+/* True if the checksum of the copy is valid, for any format and layout. */
 static bool is_sealed(hal_t *hal, uint16_t copy)
 {
     const uint32_t length = read_word(hal, copy, WORD_LENGTH);
-    if (read_word(hal, copy, WORD_FORMAT) != STORED_FORMAT || length <= STORED_HEAD || length > STORED_ROOM) {
+    if (length <= STORED_HEAD || length > STORED_ROOM) {
         return false;
     }
     uint32_t crc = CRC32_START;
@@ -89,7 +89,8 @@ static bool is_sealed(hal_t *hal, uint16_t copy)
 
 static bool has_layout(hal_t *hal, uint16_t copy)
 {
-    return read_word(hal, copy, WORD_LAYOUT) == STORED_LAYOUT && read_word(hal, copy, WORD_LENGTH) == STORED_WORDS;
+    return read_word(hal, copy, WORD_FORMAT) == STORED_FORMAT && read_word(hal, copy, WORD_LAYOUT) == STORED_LAYOUT &&
+           read_word(hal, copy, WORD_LENGTH) == STORED_WORDS;
 }
 
 stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *values, uint32_t *sequence)

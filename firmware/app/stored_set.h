@@ -8,6 +8,8 @@
  *      all members of the configuration block of axis 1, then of axis 2
  *      checksum: CRC-32 of all words before
  *
+ * Length, sequence number and checksum have this place in every format: a set of another one is recognised.
+ *
  * Each 16-bit number has its own word, because words are programmed one by one. The checksum is written last: a set is
  * complete or invalid.
  */

@@ -367,7 +367,7 @@ def test_random_contents_are_never_accepted_as_a_set(core: Core, data: st.DataOb
     assert (bench.source(), bench.values()) == ("BUILT_IN", built_in)
 
 
-@pytest.mark.parametrize(("word", "value"), [(1, SEAL), (3, 1)])
+@pytest.mark.parametrize(("word", "value"), [(0, 0x31535653), (1, SEAL), (3, 1)])
 def test_a_set_of_another_firmware_is_reported_and_overwritten_last(core: Core, word: int, value: int) -> None:
     older, _, flash = kept_sets(core)
     flash = flash.copy()
