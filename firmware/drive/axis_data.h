@@ -91,6 +91,7 @@ typedef struct {
 typedef struct {
     int32_t turn; /* position at the start of the present turn, counts */
     frac32_t current; /* i_q of the next slow tick, Q1.31 of full-scale current */
+    frac32_t applied; /* part of `current` that the limit of i_q* has left in the last slow tick */
     uint16_t fade; /* part of the harmonics in force, 15 fraction bits: switched on and off without a step */
     uint16_t limit; /* LIMIT_ bit: why there is no feed-forward */
 } ripple_forward_t;

@@ -507,11 +507,11 @@ static void calm(axis_t *axis)
 }
 
 /* Current that an oscillation has, or would have with full gains: then one limit serves all gains. It is measured,
- * because the current loop may be the one that oscillates. The feed-forward against torque ripple is none. */
+ * because the current loop may be the one that oscillates. The feed-forward against torque ripple is no oscillation. */
 static frac16_t current_with_full_gains(const axis_t *axis)
 {
     const motion_state_t *m = &axis->motion;
-    const frac16_t current = f16_sub(axis->current_loop.current.q, f16_from_f32(axis->ripple.current));
+    const frac16_t current = f16_sub(axis->current_loop.current.q, f16_from_f32(axis->ripple.applied));
     if (m->gain_shift == 0U) {
         return current;
     }

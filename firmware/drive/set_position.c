@@ -1,5 +1,7 @@
 #include "drive/set_position.h"
 
+#include "drive/ripple_forward.h"
+
 static void add(int32_t *position, int32_t counts) { *position = i32_add_wrap(*position, counts); }
 
 static bool holds(const axis_t *axis)
@@ -22,6 +24,7 @@ bool set_position_permitted(const axis_t *axis)
 void set_position_shift(axis_t *axis, int32_t counts)
 {
     motion_state_t *m = &axis->motion;
+    ripple_forward_restart(axis);
     add(&axis->encoder.position.whole, counts);
     axis->encoder.found = true; /* preserved by the next rotor search */
     add(&axis->encoder.observer.count, counts);

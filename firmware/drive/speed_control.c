@@ -141,6 +141,13 @@ void speed_control_retune(axis_t *axis, const axis_config_t *config, uint16_t ga
     m->speed_pi.integral = pi_sum_saturated(kept + pi_sum_of(gained));
 }
 
+/* What the feed-forward against torque ripple changes in i_q*, the output of the controller within `limit`. */
+static frac32_t applied_ripple(const axis_t *axis, frac32_t i_q, frac32_t limit)
+{
+    const int64_t without = (int64_t)i_q - axis->motion.speed_pi.excess - axis->ripple.current;
+    return i_q - f32_limit(without, limit);
+}
+
 /* Speed controller (F20, E34..E37), PI with anti-windup (control/pi.h):
  *   i_q* = limit(Kp (omega* - omega) + i_i + i_forward, -i_max, i_max)
  * i_i integrates omega* minus the mean speed of the tick; each direction may have a limit of its own. */
@@ -161,6 +168,9 @@ frac16_t speed_control(axis_t *axis)
     const frac16_t limit = less ? restricted_limit(axis, sum < 0) : axis->current_max.q;
     const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
     m->saturated = m->speed_pi.excess != 0;
+    if (axis->ripple.current != 0) {
+        axis->ripple.applied = applied_ripple(axis, i_q, f32_from_f16(limit));
+    }
     set_i_d(axis, less, m->saturated && limit < axis->current_max.q, sum < 0);
     if (m->saturated) {
         m->current_reduced = report_current(axis) || m->current_reduced;

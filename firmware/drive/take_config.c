@@ -3,6 +3,7 @@
 #include "drive/homing.h"
 #include "drive/inputs.h"
 #include "drive/limits.h"
+#include "drive/ripple_forward.h"
 #include "drive/speed_control.h"
 
 bool axis_takes_any_config(const axis_t *axis)
@@ -28,6 +29,7 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
     if (axis->sm.state == STATE_RUN) {
         current_loop_retune(&axis->current_loop, &axis->config->current_loop, &config->current_loop, axis->current_ref);
         speed_control_retune(axis, config, 0);
+        ripple_forward_retune(axis, config);
         axis->motion.forced = false;
         keep_estimates(axis, config);
     } else {

@@ -24,9 +24,13 @@ SETTLE = 0.5  # [s]
 
 
 @contextmanager
-def shaft(level: Level, torque: float, periods: int, error: float = 0.0) -> Iterator[Board]:
-    """Homed axis 1 with cogging [N m], configured with it; its phase is wrong by `error` [rad]."""
-    plant = PlantConfig.load().with_axis(0, cogging_torque=torque, cogging_periods=periods, cogging_phase=PHASE)
+def shaft(level: Level, torque: float, periods: int, error: float = 0.0, **values: float) -> Iterator[Board]:
+    """Homed axis 1 with cogging [N m], configured with it; its phase is wrong by `error` [rad].
+
+    `values` are further ones of the plant.
+    """
+    cogging = {"cogging_torque": torque, "cogging_periods": periods, "cogging_phase": PHASE}
+    plant = PlantConfig.load().with_axis(0, **cogging, **values)
     with at_level(level), spinning(plant, 1) as board:
         write_axis(board, "cmd.home", 0, board.catalogue.enums["home_method_t"]["HERE"])
         board.run(0.01)
@@ -64,3 +68,12 @@ def test_cogging_is_compensated(level: Level, torque: float, periods: int, rpm: 
 def test_a_wrong_phase_makes_it_worse(error: float) -> None:
     with shaft("ideal", 0.03, 12, error) as board:
         assert ripple(board, 60.0, 0.5, on=True) > 1.2 * ripple(board, 60.0, 0.5, on=False)
+
+
+def test_at_the_current_limit_it_is_no_oscillation() -> None:
+    """The sine passes 50 .. 300 Hz during the acceleration at the limit, which leaves nothing of it."""
+    with shaft("ideal", 0.03, 12, inertia=1.6e-4) as board:
+        set_up(board, 0, "SPEED", 1500.0 * RPM, parameters={"i_q_limit": 1.0}, TORQUE_RIPPLE=True)
+        trace = record(board, [0], 1.0)[0]
+        assert np.mean(np.abs(trace["i_q_ref"]) > 0.99) > 0.3
+        assert not np.any(trace["oscillation"])
