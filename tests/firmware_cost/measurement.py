@@ -60,7 +60,7 @@ def fingerprint(programs: Programs, weights: str) -> str:
         Text of the file with the weights.
     """
     found = hashlib.sha256(weights.encode())
-    for path in sorted((*Path(__file__).parent.glob("*.py"), *programs.bench.rglob("*.[ch]"))):
+    for path in (*sorted(Path(__file__).parent.glob("*.py")), *sorted(programs.bench.rglob("*.[ch]"))):
         found.update(path.read_bytes())
     for path in (*(cost_program(programs, loops=loops) for loops in (False, True)), recorder_program(programs)):
         image = path.with_suffix(".bin")
