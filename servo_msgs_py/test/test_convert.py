@@ -120,7 +120,7 @@ def test_damaged_tables_are_refused(damage: str) -> None:
 @given(
     st.sampled_from([*COMMAND_VARIABLES, "param.features", "param.host_timeout"]),
     st.integers(0, 2**63 - 1),
-    st.lists(st.integers(-(2**31), 2**32 - 1), min_size=32, max_size=32).map(lambda numbers: numbers * 10),
+    st.lists(st.integers(-(2**31), 2**32 - 1), min_size=32, max_size=32).map(lambda numbers: numbers * 16),
     st.integers(1, 8),
     st.integers(1, 3),
 )
