@@ -86,6 +86,7 @@ def test_what_cannot_be_measured_is_refused(bench: ToolBench, capsys: pytest.Cap
     home(board)
     assert "use --enable" in refused()
     assert "use at most" in refused("--enable", "--speed", "100")
+    assert "use at least 0.25" in refused("--enable", "--speed", "0.1")
     set_up(board, 0, SPEED_OBSERVER=True)
     board.run(0.01)
     assert "SPEED_OBSERVER" in refused("--enable")

@@ -241,13 +241,18 @@ def free_travel(access: BoardAccess, axis: int) -> float:
     return max(min(here - low, high - here), 0.0)
 
 
+def refuse_without_encoder(access: BoardAccess, axis: int) -> None:
+    """Raise an error if an axis runs without its encoder."""
+    if access.catalogue.label("feedback_kind_t", int(access.read("param.feedback")[axis])) != "ENCODER":
+        raise MeasurementError(
+            f"{axis_name(axis)} runs without its encoder (param.feedback); only an axis with an encoder can be measured"
+        )
+
+
 def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Band]) -> None:
     """Raise an error if the axis cannot execute the measurement, or a limit of the axis or the user forbids it."""
     name, loop = axis_name(settings.axis), settings.loop
-    if access.catalogue.label("feedback_kind_t", int(access.read("param.feedback")[settings.axis])) != "ENCODER":
-        raise MeasurementError(
-            f"{name} runs without its encoder (param.feedback); only loops with an encoder can be measured"
-        )
+    refuse_without_encoder(access, settings.axis)
     longest = max(band.rotation_seconds for band in bands)
     if longest > _TIME_MAX:
         raise MeasurementError(

@@ -13,7 +13,7 @@ from servo_msgs_py.units import TICK
 from servo_tuning.torque_ripple import fragment
 
 from servo_measurement.access import BoardAccess, Capture, MeasurementError
-from servo_measurement.bode_plan import LINE, free_travel
+from servo_measurement.bode_plan import LINE, free_travel, refuse_without_encoder
 from servo_measurement.prediction import Prediction, predict
 from servo_measurement.ripple_fit import ORDER_MAX, TURN, Complexes, Measured, significant, turn_ripple
 from servo_measurement.running_axis import SETTLE, RunningAxis
@@ -25,6 +25,7 @@ _COLUMNS: Final = ("position", "speed", "i_q")
 _RECORDED: Final = 1.15  # turns per recording: the mean speed of one turn differs from its set-point
 _EVERY: Final = 2  # slow ticks per sample at the default speed
 _SAMPLES_MIN: Final = 3.0  # per period of the highest order
+_TIME_MAX: Final = 30.0  # longest recording [s]
 _SPEED_PART: Final = 0.5  # of the speed limit: highest speed, because the ripple exceeds the set-point
 
 
@@ -74,6 +75,7 @@ class _Plan:
     speed: float  # [rad/s]
     every: int  # slow ticks per sample
     samples: int  # per recording
+    travel: float  # longest way of a run [rad]
 
 
 def measure(
@@ -114,8 +116,8 @@ def measure(
             "feature SPEED_OBSERVER (param.features) for the measurement"
         )
     report(
-        f"{rig.name} makes {2 * TURNS} runs of one to two turns at {plan.speed:.3g} rad/s in alternating directions; "
-        "Ctrl-C stops it"
+        f"{rig.name} makes {2 * TURNS} runs of up to {plan.travel:.3g} rad at {plan.speed:.3g} rad/s in alternating "
+        "directions; Ctrl-C stops it"
     )
     turns: tuple[list[Complexes], list[Complexes]] = ([], [])
     with rig.prepared(enable):
@@ -144,7 +146,8 @@ class _RippleRig(RunningAxis):
     """The axis, turning at a constant speed."""
 
     def refuse_unknown_angle(self) -> None:
-        """Refuse an axis whose position is not known; also one without an encoder."""
+        """Refuse an axis whose position is not known."""
+        refuse_without_encoder(self.access, self.axis)
         state = self.label("home_state")
         if state != "KNOWN":
             raise MeasurementError(
@@ -164,6 +167,11 @@ class _RippleRig(RunningAxis):
             raise MeasurementError(
                 f"{self.name} cannot be measured at {speed:.3g} rad/s: use at most {min(limit, fastest):.3g} ({reason})"
             )
+        elif speed * _TIME_MAX < _RECORDED * TURN:
+            raise MeasurementError(
+                f"at {speed:.3g} rad/s a run of {self.name} takes more than {_TIME_MAX:g} s: use at least "
+                f"{_RECORDED * TURN / _TIME_MAX + 0.005:.2f}"
+            )
         every = math.ceil(_RECORDED * TURN / (speed * capacity * TICK) - 1e-9)
         samples = min(math.ceil(_RECORDED * TURN / (speed * every * TICK)), capacity)
         deceleration = self.access.read("param.acceleration_limit")[self.axis]
@@ -174,7 +182,7 @@ class _RippleRig(RunningAxis):
                 f"{self.name} needs {travel:.3g} rad in each direction, the nearer soft limit is {free:.3g} rad away: "
                 "move it to the middle of param.position_min and param.position_max, or widen them"
             )
-        return _Plan(speed, every, samples)
+        return _Plan(speed, every, samples, travel)
 
     def recorded(self, plan: _Plan, direction: float) -> Trace:
         """A recording at constant speed; the shaft is held before the samples are read."""

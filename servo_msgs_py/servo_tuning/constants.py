@@ -268,9 +268,12 @@ def _torque_ripple(to: Converter) -> dict[str, Value]:
     bandwidth = "control.current_bandwidth"
     lead = RIPPLE_PERIODS * to.board.period + 1.0 / (2.0 * math.pi * axis(bandwidth))
     turns = lead * s.speed / 2.0 / math.pi if axis.harmonics else 0.0  # a slow loop without harmonics is permitted
-    where = f"{axis.name}.{TORQUE_RIPPLE}.{HARMONICS}"
+    where, remedies = (
+        f"{axis.name}.{TORQUE_RIPPLE}.{HARMONICS}",
+        ("write an amplitude that fits, or remove the harmonic",),
+    )
     return {
-        **{path: Fraction(where, value, ("write smaller amplitudes",)) for path, value in members.items()},
+        **{path: Fraction(where, value, remedies) for path, value in members.items()},
         "torque_ripple.lead": to.of("angle during the delay of the ripple compensation", turns, higher(bandwidth)),
     }
 

@@ -166,7 +166,7 @@ class ServoTwin(Node):
             plant = PlantConfig.load(self._values["plant"] or None)
         with _file_of("robot"):
             name = self._values.get("robot")
-            robot = load_on_line(name) if name else None
+            robot = load_on_line(name, plant) if name else None
             plant = plant if robot is None else robot.plant(plant)
         with _file_of("thresholds"):
             return plant, robot, DiagnosisThresholds.load(self._values.get("thresholds") or None, chosen_level())

@@ -358,7 +358,7 @@ def _check_inputs(args: argparse.Namespace) -> None:
     if args.thresholds:
         Thresholds.load(args.thresholds)
     if args.robot:
-        load_on_line(args.robot)
+        load_on_line(args.robot, PlantConfig.load(args.plant))
 
 
 @program("servo-up")

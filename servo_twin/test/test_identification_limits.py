@@ -111,7 +111,7 @@ def test_remedies_of_options_are_accepted(changes: dict[str, float], current: fl
 def test_every_value_that_a_refusal_names_is_accepted(seed: int, number: int, first: str, accepted: bool) -> None:
     """Random motors; those of seed 5 with random limits. No value leads to a fault.
 
-    Those that turn for minutes of board time are left out unless the environment has `EVERY_CASE`.
+    Those that turn for minutes of board time are left out unless the environment has SERVO_EVERY_CASE.
     """
     plant, limits = random_case(PLANT, 0, LIMITS, seed, number)
     limits = limits if seed == SEED else with_random_limits(limits, seed, number)

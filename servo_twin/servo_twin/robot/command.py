@@ -90,8 +90,8 @@ def load(name: str) -> RobotModel:
     return RobotModel(example if example.is_file() else Path(name))
 
 
-def load_on_line(name: str) -> RobotModel:
-    """A model whose only board has a host at its serial line, checked with the packaged plant.
+def load_on_line(name: str, plant: PlantConfig | None = None) -> RobotModel:
+    """A model whose only board has a host at its serial line, checked with a plant; by default the packaged one.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def load_on_line(name: str) -> RobotModel:
         If the file is not valid, or board and model do not fit.
     """
     robot = load(name)
-    robot.on_line(PlantConfig.load(), level=FAST_LEVEL).boards[0].close()
+    robot.on_line(plant or PlantConfig.load(), level=FAST_LEVEL).boards[0].close()
     return robot
 
 
