@@ -192,11 +192,18 @@ class TwinRig:
         return state_label(CATALOGUE, self.real.raw[f"{prefix}.state"], self.real.raw[f"{prefix}.substate"])
 
     def enable_axes(self) -> None:
-        """Enable both axes and wait until they have been in SPIN for 0.15 s."""
+        """Enable both axes and wait until they have been in SPIN for 0.15 s, and the twin is synchronised if it can be.
+
+        The shafts swing after the rotor search: when they come to rest depends on the seed and on the load.
+        """
         self.run(0.1)
         self.write("cmd.enable", [1, 1])
         self.until("RUN/SPIN")
         self.run(0.15)
+        swing = 1.0  # [s]
+        while self.listening and self.twin.status and swing > 0.0:
+            self.run(0.05)
+            swing -= 0.05
 
     def move(self, turns: Sequence[float], seconds: float = 0.6, mask: int = 3) -> list[Pair]:
         """Move to positions in turns from the zero of the real board."""
