@@ -74,7 +74,7 @@ def test_each_handler_ends_before_the_samples_of_the_other_motor(holding: Board)
     for vector in (M1, M2):
         ends, begin = of(log, LEAVE, vector).astype(np.int64), of(log, ENTER, vector).astype(np.int64)
         lasted = [end - begin[begin < end][-1] for end in ends[ends > begin[0]]]
-        assert max(lasted) < 0.97 * intervals.min()
+        assert max(lasted) < intervals.min()
 
 
 # ---- moves ----------------------------------------------------------------------------------------------------------

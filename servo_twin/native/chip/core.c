@@ -182,6 +182,7 @@ CHIP_NORETURN static void live(core_t *core)
             bus->changed = bus->background_due; /* due again */
         }
         core->resting = !bus->changed;
+        core->given = 0; /* its rest depends on where runs have ended; states are compared */
         core->bus.stop = core->bus.stop || (core->stop_resting && core->resting);
         (void)run_event(core, CHIP_NEVER);
         core->resting = false;
