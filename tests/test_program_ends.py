@@ -89,7 +89,7 @@ ELSEWHERE: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
             "tests/test_measurement_killed.py",
             "test_board_restores_itself_when_the_program_is_killed",
         )
-        for command in ("bode", "ripple")
+        for command in ("bode", "ripple", "resonance")
     },
     ("servo-tool bode", "output closed"): (
         "tests/test_bode_on_board.py",
@@ -130,7 +130,11 @@ LIKE: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
     },
     ("servo-command effort", "output closed"): ("servo-command velocity", "output closed"),
     ("servo-tool identify", "output closed"): ("servo-tool bode", "output closed"),
-    **{("servo-tool ripple", event): ("servo-tool bode", event) for event in ("signal", "output closed")},
+    **{
+        (f"servo-tool {command}", event): ("servo-tool bode", event)
+        for command in ("ripple", "resonance")
+        for event in ("signal", "output closed")
+    },
 }
 """Cells whose program does what that of a tested cell does.
 

@@ -340,6 +340,23 @@ def test_a_load_on_a_spring_is_unstable_where_the_board_oscillates(
     assert any("axis1.load.stiffness" in sentence for sentence in sentences) == unstable
 
 
+@pytest.mark.parametrize(("frequency", "ratio"), [(80.0, 3.0), (150.0, 10.0), (300.0, 1.0), (300.0, 10.0)])
+def test_bandwidths_named_for_a_load_on_a_spring_are_stable(frequency: float, ratio: float) -> None:
+    entries = sprung(frequency, ratio)
+    design, figures, _ = assessed(**entries)
+    (remedy, *_) = next(one for one in findings(design, figures) if one.entry == "axis1.load.stiffness").remedies
+    assert remedy.also is not None
+    assert remedy.value is not None
+    assert remedy.also.value is not None
+    slower = {"axis1__control__speed_bandwidth": remedy.value, "axis1__control__position_gain": remedy.also.value}
+    _, _, sentences = assessed(**entries, **slower)
+    assert not any("axis1.load.stiffness" in sentence for sentence in sentences)
+    for key in slower:
+        slower[key] *= 0.5
+    _, _, sentences = assessed(**entries, **slower)
+    assert not any("axis1.load.stiffness" in sentence for sentence in sentences)
+
+
 @pytest.mark.parametrize("index", range(2))
 def test_the_smallest_swing_of_an_oscillation_is_that_of_the_firmware(core: Core, index: int) -> None:
     bench = Bench(core)

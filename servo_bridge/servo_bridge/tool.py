@@ -26,6 +26,7 @@ from servo_bridge import (
     tool_faults,
     tool_identify,
     tool_record,
+    tool_resonance,
     tool_ripple,
     tool_scope,
     tool_storage,
@@ -190,6 +191,9 @@ def _parser() -> argparse.ArgumentParser:
     command = add("ripple", tool_ripple.ripple, "measure the torque ripple of a homed axis; the shaft moves")
     command.description = tool_ripple.ABOUT
     tool_ripple.add_arguments(command)
+    command = add("resonance", tool_resonance.resonance, "measure a load behind a spring; the shaft moves")
+    command.description = tool_resonance.ABOUT
+    tool_resonance.add_arguments(command)
     for name, run, text in (
         (
             "save",

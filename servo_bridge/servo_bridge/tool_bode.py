@@ -58,6 +58,14 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         metavar="RAD",
         help="largest angle of the shaft in each direction",
     )
+    command.add_argument(
+        "--gain",
+        type=_part,
+        default=1.0,
+        metavar="PART",
+        help="bandwidths of speed and position control during the measurement, over those of the board: a part for a"
+        " shaft that oscillates (default: 1)",
+    )
     command.add_argument("--repeat", type=_repeats, default=4, metavar="N", help="sweeps per band (default: 4)")
     command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
     command.add_argument(
@@ -76,7 +84,15 @@ def bode(context: Context) -> int:
     """Measure, write the files, print the figures; returns 1 if the crossover is not confirmed."""
     args = context.args
     request = BodeRequest(
-        _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
+        _AXES.index(args.axis),
+        args.loop,
+        args.amplitude,
+        args.f_min,
+        args.f_max,
+        args.speed,
+        args.range,
+        args.repeat,
+        args.gain,
     )
     try:
         result = measured(context.session, request, enable=args.enable)
@@ -113,6 +129,10 @@ def write_files(result: Bode, folder: Path) -> str:
     write_file(folder / f"{stem}.csv", table.getvalue())
     draw(result, folder / f"{stem}.png")
     return stem
+
+
+def _part(text: str) -> float:
+    return argument.finite(text, Quantity(minimum=0.01, maximum=1.0))
 
 
 def _repeats(text: str) -> int:

@@ -49,6 +49,7 @@ class Bode:
     settings: Settings  # of the measurement
     bands: tuple[Band, ...]  # sweeps
     response: Response  # open loop
+    half: Response | None  # with half the amplitude, in the band of the crossover
     figures: Figures  # its crossover, margins and resonances
     prediction: Prediction  # of the tuning code
     notes: tuple[str, ...]  # remarks, one sentence each
@@ -91,9 +92,11 @@ def measure(
     settings, prediction, bands = complete_settings(access, request)
     refuse_settings(access, settings, bands)
     report(motion_text(settings, bands))
-    total = len(bands) * settings.repeats + _CHECKS
+    checks = settings.repeats if request.half else _CHECKS
+    total = len(bands) * settings.repeats + checks
     rig = BodeRig(access, settings, report)
-    with rig.prepared(enable, test_mode=not settings.loop.slow):
+    block = None if settings.gain == 1.0 else prediction.block
+    with rig.prepared(enable, test_mode=not settings.loop.slow, block=block):
         initial = rig.value("position")
 
         def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:
@@ -114,14 +117,16 @@ def measure(
             [swept(band, settings.amplitude, settings.repeats, k * settings.repeats) for k, band in enumerate(bands)]
         )
         found, remarks = figures(response), notes(settings, prediction)
-        if found.crossover is not None:
-            crossover = found.crossover.value
+        half = None
+        if found.crossover is not None or request.half:
+            crossover = 0.0 if found.crossover is None else found.crossover.value
             (band, *_) = [band for band in bands if band.f_min <= crossover <= band.f_max] or bands
-            half = figures(swept(band, 0.5 * settings.amplitude, _CHECKS, total - _CHECKS))
-            found, note = _compared(found, half)
-            remarks += note
+            half = swept(band, 0.5 * settings.amplitude, checks, total - checks)
         progress("done", total, total)
-    return Bode(settings, bands, response, found, prediction, tuple(remarks))
+    if found.crossover is not None and half is not None:
+        found, note = _compared(found, figures(half))
+        remarks += note
+    return Bode(settings, bands, response, half, found, prediction, tuple(remarks))
 
 
 def _compared(found: Figures, half: Figures) -> tuple[Figures, list[str]]:
@@ -172,7 +177,7 @@ def _estimated(access: BoardAccess, settings: Settings, band: Band, recordings: 
     instrument, error, output = (np.array(rows) for rows in zip(*signals, strict=True))
     _refuse_short_signal(settings, instrument)
     _refuse_saturation(access, settings, error)
-    return estimate(band.step, instrument, error, output, band.f_min, band.f_max)
+    return estimate(band.step, instrument, error, output, band.f_min, band.f_max, settings.groups)
 
 
 def _refuse_short_signal(settings: Settings, signals: NDArray[np.float64]) -> None:

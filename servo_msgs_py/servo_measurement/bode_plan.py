@@ -15,6 +15,7 @@ from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
+from servo_measurement.frequency_response import GROUPS
 from servo_measurement.prediction import Prediction, predict
 from servo_measurement.running_axis import SETTLE
 from servo_measurement.test_signal import SweptSine, refuse_test_signal
@@ -82,6 +83,10 @@ class BodeRequest:
     `travel_max` or the soft limits require it."""
     travel_max: float = math.inf  # largest rotation of the shaft in each direction [rad]
     repeats: int = 4  # recordings per band
+    gain: float = 1.0
+    """Bandwidths of speed and position control during the measurement, over those of the board, above 0 to 1."""
+    groups: int = GROUPS  # of frequencies, per decade
+    half: bool = False  # measure as often with half the amplitude, also without a crossover
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,8 @@ class Settings:
     speed: float  # constant speed during the measurement [rad/s]
     travel_max: float  # largest rotation of the shaft in each direction [rad]
     repeats: int  # recordings per band
+    gain: float = 1.0  # part of the bandwidths in use
+    groups: int = GROUPS  # of frequencies, per decade
     speed_amplitude: float = 0.0  # predicted speed amplitude caused by the test signal [rad/s]
     deceleration: float = math.inf  # of the shaft after the measurement [rad/s^2]
 
@@ -179,7 +186,9 @@ def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Ban
 def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settings, Prediction, tuple[Band, ...]]:
     """Complete settings, prediction at the measured speed, and sweeps."""
     axis, loop = request.axis, LOOPS[request.loop]
-    prediction = predict(access, axis, loop.name, request.speed or 0.0)
+    if request.gain != 1.0 and not loop.slow:
+        raise MeasurementError("a current loop is measured with its own gains; omit the part of the gains")
+    prediction = predict(access, axis, loop.name, request.speed or 0.0, request.gain)
     crossover = prediction.margins.crossover or 0.1 * prediction.nyquist
     f_min = crossover / _BELOW if request.f_min is None else request.f_min
     f_max = crossover * _ABOVE if request.f_max is None else request.f_max
@@ -196,6 +205,8 @@ def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settin
         speed,
         travel_max,
         request.repeats,
+        request.gain,
+        request.groups,
         deceleration=deceleration,
     )
     capacity = access.capacity([f"{axis_name(axis)}.{column}" for column in settings.columns])

@@ -78,6 +78,7 @@ def text(bode: Bode) -> str:
 def _lines(bode: Bode) -> Iterator[str]:
     settings = bode.settings
     motion = f" at {settings.speed:.4g} rad/s" if settings.speed else ""
+    motion += f", {settings.gain:.3g} of its bandwidth" if settings.gain != 1.0 else ""
     yield (
         f"{axis_name(settings.axis)}, {settings.loop.name} loop{motion}: {settings.repeats} sweeps of "
         f"{settings.amplitude:.3g} {settings.loop.unit}, {settings.f_min:.3g} .. {settings.f_max:.3g} Hz"

@@ -24,7 +24,9 @@ COHERENCE_MIN: Final = 0.6
 _SIGMA_MAX: Final = 0.3
 """Largest relative standard deviation of a valid point."""
 
-_GROUPS: Final = 40  # per decade
+GROUPS: Final = 40
+"""Groups of frequencies per decade."""
+
 _NEAR: Final = 1.5  # the fit at a crossing uses frequencies within this factor
 _FIT_POINTS: Final = 4
 _RESONANCE_MIN: Final = 3.0  # [dB]
@@ -89,7 +91,15 @@ class Figures:
 # ---- from samples to points ------------------------------------------------------------------------------------------
 
 
-def estimate(step: float, instrument: _Float, error: _Float, output: _Float, f_min: float, f_max: float) -> Response:
+def estimate(
+    step: float,
+    instrument: _Float,
+    error: _Float,
+    output: _Float,
+    f_min: float,
+    f_max: float,
+    groups: int = GROUPS,
+) -> Response:
     """Estimate the open loop from repeated recordings of one test signal.
 
     Parameters
@@ -100,17 +110,19 @@ def estimate(step: float, instrument: _Float, error: _Float, output: _Float, f_m
         Test signal, and input and output of the open loop.
     f_min, f_max : float
         Band of the test signal [Hz].
+    groups : int
+        Groups of frequencies per decade.
 
     Returns
     -------
     Response
-        One point per group of frequencies; a group is a fortieth of a decade, or a single frequency of the transform.
+        One point per group of frequencies; a group is a part of a decade, or a single frequency of the transform.
     """
     samples = instrument.shape[1]
     frequency = np.fft.rfftfreq(samples, step)
     d, e, o = (np.fft.rfft(signal, axis=1) for signal in (instrument, error, output))
     inside = np.nonzero((frequency >= f_min) & (frequency <= f_max) & (frequency > 0.0))[0]
-    group = np.floor(_GROUPS * np.log10(frequency[inside] / f_min) + 1e-9).astype(np.int64)
+    group = np.floor(groups * np.log10(frequency[inside] / f_min) + 1e-9).astype(np.int64)
     bins = [inside[group == number] for number in np.unique(group)]
     points = [_point(frequency[k], d[:, k], e[:, k], o[:, k]) for k in bins]
     table = np.array(points, dtype=np.complex128).reshape(-1, 4)

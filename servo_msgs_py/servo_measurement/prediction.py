@@ -14,7 +14,7 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import PERIOD, TICK
-from servo_tuning.control_loops import ControlLoops, control_loops
+from servo_tuning.control_loops import ControlLoops, control_loops, softened
 from servo_tuning.linear import Margins, Omega, margins
 from servo_tuning.loops import In, Out, ShaftLoops
 from servo_tuning.sensors import EdgeDelay, edge_delay
@@ -65,7 +65,8 @@ class Prediction:
         return 0.5 / (PERIOD if self.loop in _CURRENT_AXES else TICK)
 
     @property
-    def _shaft(self) -> ShaftLoops:
+    def shaft(self) -> ShaftLoops:
+        """Model of the shaft with its speed and position loop."""
         return self.loops.shaft(observed=self.observed)
 
     @property
@@ -79,8 +80,8 @@ class Prediction:
         if self.loop in _CURRENT_AXES:
             return self.loops.current_loop(_CURRENT_AXES[self.loop]).open.response(omega)
         if self.loop == "speed":
-            return self._shaft.speed_open(omega, self.delay)
-        return self._shaft.position_open(omega)
+            return self.shaft.speed_open(omega, self.delay)
+        return self.shaft.position_open(omega)
 
     def response(self, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Open-loop frequency response at frequencies [Hz]."""
@@ -101,7 +102,7 @@ class Prediction:
         """
         omega = 2.0 * math.pi * np.geomspace(f_min, max(f_max, 1.01 * f_min), _GRID)
         sensitivity = 1.0 / (1.0 + self._open(omega))
-        shaft = self._shaft
+        shaft = self.shaft
         if self.loop == "position":
             per_speed = shaft.speed.channel(Out.SPEED, In.SET_POINT).response(omega)
             per_current = shaft.speed.channel(Out.CURRENT, In.SET_POINT).response(omega)
@@ -112,8 +113,9 @@ class Prediction:
         return 0.0, float(np.abs(sensitivity).max())
 
 
-def predict(access: BoardAccess, axis: int, loop: str, speed: float) -> Prediction:
-    """Model of a loop of a board, with its configuration and its features."""
+def predict(access: BoardAccess, axis: int, loop: str, speed: float, gain: float = 1.0) -> Prediction:
+    """Model of a loop of a board, with its configuration and its features; `gain`: part of its bandwidths in use."""
     word = int(access.read("param.features")[axis])
     observed = any(flag.name == "SPEED_OBSERVER" for flag in access.catalogue.active("features", word))
-    return Prediction(read_block(access, axis), loop, speed, observed)
+    block = read_block(access, axis)
+    return Prediction(block if gain == 1.0 else softened(block, gain), loop, speed, observed)

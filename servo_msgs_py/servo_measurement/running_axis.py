@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final
+
+from servo_msgs_py.axis_config_transfer import send_configuration
 
 from servo_measurement.access import MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME, AxisUnderTest
@@ -25,11 +27,13 @@ class RunningAxis(AxisUnderTest):
         return self.substate == "SPIN"
 
     @contextmanager
-    def prepared(self, enable: bool, *, test_mode: bool = False) -> Iterator[None]:
+    def prepared(
+        self, enable: bool, *, test_mode: bool = False, block: Mapping[str, int] | None = None
+    ) -> Iterator[None]:
         """The axis in SPIN and at rest, or in mode TEST; afterwards at rest, in its previous mode and state.
 
         An axis in mode TORQUE holds its position after its set-point has expired. It remains in mode POSITION: mode
-        TORQUE would restart without current, and a load would fall.
+        TORQUE would restart without current, and a load would fall. `block`: configuration for this time.
         """
         refuse_faults(self.access, self.axis)
         mode, was_spinning = self.label("mode"), self.is_spinning
@@ -59,6 +63,8 @@ class RunningAxis(AxisUnderTest):
             self.access.wait(POLL_TIME)  # until the changes are active
 
         with self.session((("shaft at rest", rest), ("mode", mode_before))):
+            if block is not None:
+                send_configuration(self.access, {self.axis: block})
             if not was_spinning:
                 self.mode("TEST" if test_mode else "POSITION")
                 self.enable("TEST" if test_mode else "SPIN", _TEST_TIME if test_mode else _SEARCH_TIME)

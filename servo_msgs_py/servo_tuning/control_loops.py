@@ -62,6 +62,12 @@ def pi_of(block: Mapping[str, int], path: str) -> Pi:
     return Pi(*(table.value(f"{path}.{gain}", block) for gain in ("kp", "ki", "kc")))
 
 
+def softened(block: Mapping[str, int], part: float) -> dict[str, int]:
+    """Block with a part of the bandwidths of speed and position control, as the oscillation monitor reduces them."""
+    factors = {"speed.kp": part, "speed.ki": part**2, "position_gain": part}
+    return {**block, **{name: max(round(factor * block[name]), 1) for name, factor in factors.items()}}
+
+
 def control_loops(block: Mapping[str, int], motor: Motor | None = None) -> ControlLoops:
     """Loops of a configuration block.
 

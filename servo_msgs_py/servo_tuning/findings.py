@@ -11,10 +11,12 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.assessment import Assessment
 from servo_tuning.configuration import FEEDBACKS, Axis
+from servo_tuning.control_loops import control_loops, softened
 from servo_tuning.errors import Problem, Remedy, exactly, higher, lower
 from servo_tuning.field_weakening import field_weakening_loops
 from servo_tuning.gains import current_bandwidth_min
 from servo_tuning.linear import spectral_radius
+from servo_tuning.motor import Load
 from servo_tuning.optional import PARTS
 from servo_tuning.rotor_search import RotorSearch
 from servo_tuning.sensorless_constants import needs_observer
@@ -72,6 +74,13 @@ FOLLOW_VOLTAGE_RECOMMENDED: Final = 0.075
 
 SEARCH_SWINGS_MIN: Final = 2.0
 """Smallest duration of the rotation in the verification of the rotor search, in periods of the swing of the shaft."""
+
+BANDWIDTH_STEP: Final = 0.9
+"""Ratio of the bandwidths that are tried for a load on a spring, down to a hundredth of those of the configuration."""
+
+BANDWIDTH_STEPS: Final = 45
+
+_BANDWIDTHS: Final = ("control.speed_bandwidth", "control.position_gain")
 
 _ENTRIES: Final = {
     "current d": "control.current_bandwidth",
@@ -162,12 +171,24 @@ def _spring(design: Tuned) -> Iterator[Problem]:
     load = design.axis.load
     if load is None:
         return
-    shaft = design.sprung(load)
-    if max(spectral_radius(shaft.speed_alone), spectral_radius(shaft.position.a)) >= 1.0:
-        frequency = load.resonance(design.axis("motor.inertia"))
-        reason = f"with this spring the load resonates at {frequency:.3g} Hz, and the loops are unstable:"
-        reason = f"{reason} the drive will reduce their gains (limit OSCILLATION)"
-        yield design.axis.problem("load.stiffness", reason, lower("control.speed_bandwidth"), higher("load.stiffness"))
+    if _is_stable(design, load, 1.0):
+        return
+    axis, frequency = design.axis, load.resonance(design.axis("motor.inertia"))
+    reason = f"with this spring the load resonates at {frequency:.3g} Hz, and the loops are unstable:"
+    reason = f"{reason} the drive will reduce their gains (limit OSCILLATION)"
+    parts = (BANDWIDTH_STEP**k for k in range(1, BANDWIDTH_STEPS))
+    part = next((p for p in parts if _is_stable(design, load, p) and _is_stable(design, load, GAIN_MIN * p)), None)
+    slower = lower("control.speed_bandwidth")
+    if part is not None:
+        speed, position = (lower(path, _short(part * axis(path))) for path in _BANDWIDTHS)
+        slower = replace(speed, also=position)
+    yield axis.problem("load.stiffness", reason, slower, higher("load.stiffness"))
+
+
+def _is_stable(design: Tuned, load: Load, part: float) -> bool:
+    """Whether the loops are stable with a part of the bandwidths of speed and position control."""
+    shaft = control_loops(softened(design.block, part), design.motor).sprung(load, design.observed)
+    return max(spectral_radius(shaft.speed_alone), spectral_radius(shaft.position.a)) < 1.0
 
 
 def _position(design: Tuned, figures: Assessment) -> Iterator[Problem]:

@@ -1,0 +1,71 @@
+"""``servo-tool resonance``: measure motor and load on a spring; write the group of ``servo.toml``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from typing import TYPE_CHECKING, Final
+
+from servo_measurement.access import MeasurementError
+from servo_measurement.resonance import ResonanceRequest, measure
+from servo_msgs_py.catalogue import AXIS_NAMES
+from servo_msgs_py.output_file import write_file
+from servo_msgs_py.runtime.program import complain, deferred
+
+from servo_bridge.measurement_access import measurement_access
+from servo_bridge.tool_progress import progress_bar, show
+from servo_msgs_py import argument
+
+if TYPE_CHECKING:
+    from servo_bridge.tool_commands import Context
+
+ABOUT: Final = """\
+Measure inertia, stiffness and damping of a load behind a spring (a belt, a coupling, a long shaft), and write the group
+[axisN.load] of servo.toml, with which tune checks the loops. The shaft turns in both directions at a constant speed,
+with an eighth of the bandwidths of speed and position control, so that it does not oscillate. Ctrl-C stops it."""
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    command.add_argument("axis", choices=AXIS_NAMES)
+    command.add_argument(
+        "--speed", type=argument.positive, metavar="RAD/S", help="constant speed (default: as of bode)"
+    )
+    command.add_argument(
+        "--range",
+        type=argument.positive,
+        default=math.inf,
+        metavar="RAD",
+        help="largest angle of the shaft in each direction",
+    )
+    command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
+    command.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+    command.add_argument(
+        "-o", "--output", type=argument.output_file, metavar="FILE.toml", help="file to write (default: print it)"
+    )
+
+
+def resonance(context: Context) -> int:
+    """Measure, print the table, write the group; returns 1 if it could not be measured."""
+    args = context.args
+    request = ResonanceRequest(AXIS_NAMES.index(args.axis), args.speed, args.range)
+    try:
+        with deferred() as stop, measurement_access(context.session, stop.check) as access, progress_bar() as bar:
+            found = measure(
+                access,
+                request,
+                enable=args.enable,
+                report=lambda sentence: complain(f"servo-tool: {sentence}"),
+                progress=lambda text, done, total: show(bar, f"{text} ", done, total),
+            )
+    except (MeasurementError, ValueError) as error:  # a number or a block was refused
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 1
+    print(json.dumps(found.as_dict(), allow_nan=False) if args.json else found.text())
+    if args.output:
+        write_file(args.output, found.toml())
+    elif found.toml() and not args.json:
+        print(f"\n{found.toml()}", end="")
+    return 0

@@ -1,0 +1,98 @@
+"""``servo-tool resonance`` and a virtual board with a load on a spring, over its serial line in simulated time."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import pytest
+from servo_msgs_py.board_port import place, reached, write_axis
+from servo_msgs_py.text_file import parse_toml
+from servo_twin.board import Board
+from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.resonance import Case
+from servo_twin.validation.experiments.rig import set_up
+from test_tune_on_board import BAUD, CONFIG, ToolBench, edited
+
+CASE: Final = Case(150.0, 3.0)
+KEPT: Final = ("config.checksum", "cmd.mode", "cmd.enable", "cmd.speed", "param.features", "param.command_timeout")
+
+
+@pytest.fixture
+def bench() -> Iterator[ToolBench]:
+    packaged = PlantConfig.load()
+    plant = replace(packaged, axes=(CASE.of(packaged.axes[0]), packaged.axes[1]))
+    with Board(plant, level="ideal", baud=BAUD, seed=4) as board:
+        board.run(0.1)
+        yield ToolBench(board)
+
+
+def oscillates(board: Board) -> bool:
+    """Move axis 1 by 5 turns; whether an oscillation is found."""
+    board.write("param.command_timeout", 0.0)
+    board.write("param.host_timeout", 30.0)  # no program sends a keep-alive
+    board.write("cmd.enable", [1, 0])
+    assert reached(board, lambda: place(board, 0) == "SPIN", 8.0, 0.05)
+    start = VirtualBoardAccess(board).read("axis1.position")[0]
+    write_axis(board, "cmd.position", 0, start + 10.0 * math.pi)
+    board.run(1.5)
+    found = bool(board.read("axis1.oscillation"))
+    board.write("cmd.enable", [0, 0])
+    board.run(0.5)
+    return found
+
+
+def test_load_is_measured_and_the_bandwidth_that_tune_names_does_not_oscillate(
+    bench: ToolBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The measurement leaves the board as it was."""
+    board, true = bench.board, CASE.of(PlantConfig.load().axes[0])
+    assert oscillates(board)
+    before = [bench.raw(name) for name in KEPT]
+    begin = board.clock()
+    assert bench.tool("resonance", "axis1", "--enable", "-o", tmp_path / "load.toml") == 0
+    assert board.clock() - begin < 90.0
+    assert [bench.raw(name) for name in KEPT] == before
+    assert "antiresonance" in capsys.readouterr().out
+    text = (tmp_path / "load.toml").read_text(encoding="utf-8")
+    group = parse_toml(text)["axis1"]["load"]
+    assert group["inertia"] == pytest.approx(true.load_inertia, rel=0.03)
+    assert group["stiffness"] == pytest.approx(true.shaft_stiffness, rel=0.03)
+
+    file = tmp_path / "my.toml"
+    file.write_text(CONFIG.read_text(encoding="utf-8") + text, encoding="utf-8")
+    assert bench.tool("tune", file, "--dry-run") == 0
+    warning = capsys.readouterr()
+    assert "axis1.control.speed_bandwidth = 21 or less and axis1.control.position_gain = 17 or less" in (
+        warning.out + warning.err
+    )
+    slower = edited(tmp_path, "slower.toml", control={"speed_bandwidth": 21, "position_gain": 17})
+    assert bench.tool("tune", slower, "--axis", "1") == 0
+    assert not oscillates(board)
+
+
+def test_what_cannot_be_measured_is_refused(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
+    """With its remedy, and without motion."""
+    board = bench.board
+    assert bench.tool("resonance", "axis1") == 1
+    assert "use --enable" in capsys.readouterr().err
+    assert bench.tool("resonance", "axis1", "--enable", "--range", "0.5") == 1
+    assert "--range" in capsys.readouterr().err
+    set_up(board, 0, SPEED_OBSERVER=True)
+    board.run(0.01)
+    assert bench.tool("resonance", "axis1", "--enable") == 1
+    assert "SPEED_OBSERVER" in capsys.readouterr().err
+    assert place(board, 0) == "STOP"
+
+
+def test_rigid_shaft_as_json(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.tool("resonance", "axis2", "--enable", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rigid"]
+    (inertia,) = found["values"]
+    assert inertia["value"] == pytest.approx(PlantConfig.load().axes[1].inertia, rel=0.02)
