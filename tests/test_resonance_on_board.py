@@ -76,6 +76,16 @@ def test_load_is_measured_and_the_bandwidth_that_tune_names_does_not_oscillate(
     assert not oscillates(board)
 
 
+def test_bode_names_a_part_of_the_gains_for_a_shaft_that_oscillates(
+    bench: ToolBench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A curve with the gains that the board has reduced is compared with nothing."""
+    assert bench.tool("bode", "axis1", "speed", "--enable") == 1
+    assert "servo-tool bode --gain 0.125" in capsys.readouterr().err
+    assert bench.tool("bode", "axis1", "speed", "--enable", "--gain", "0.125", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["gain"] == 0.125
+
+
 def test_what_cannot_be_measured_is_refused(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
     """With its remedy, and without motion."""
     board = bench.board

@@ -125,6 +125,7 @@ def as_dict(bode: Bode) -> dict[str, Any]:
         "amplitude": settings.amplitude,
         "band": [settings.f_min, settings.f_max],
         "repeats": settings.repeats,
+        "gain": settings.gain,
         "measured": {name: _plain(measured) for name, _, measured, _ in _comparison(bode)},
         "predicted": {"crossover": predicted.crossover, "phase margin": predicted.phase, "gain margin": predicted.gain},
         "resonances": [{"frequency": r.frequency, "height": r.height} for r in bode.figures.resonances],

@@ -76,6 +76,7 @@ class BodeRig(RunningAxis):
             self.refuse_limits()
             if not loop.slow:
                 return
+            self._refuse_reduced_gains()
             here = self._position_and_time()
             if full:
                 self._refuse_motion(begun, here, speed)
@@ -92,6 +93,15 @@ class BodeRig(RunningAxis):
             self._wait_for_standstill()
         names = settings.columns if columns is None else columns
         return self.record(Capture(names, band.samples, band.every, loop.slow, start, TRIGGER, meanwhile=meanwhile))
+
+    def _refuse_reduced_gains(self) -> None:
+        """Raise an error if the board has reduced the gains because of an oscillation."""
+        if self.is_limited("OSCILLATION"):
+            raise MeasurementError(
+                f"{self.name} oscillates at {self.value('oscillation'):.0f} Hz, and the board has reduced its gains: "
+                f"measure with a part of them (servo-tool bode --gain {0.125 * self._settings.gain:g}), or the load "
+                f"(servo-tool resonance {self.name})"
+            )
 
     def _wait_for_standstill(self) -> None:
         """Wait for the decay of oscillations of a rotor held by a current."""
