@@ -177,7 +177,8 @@ def _bode(loop: str, subject: Subject) -> Done:
     request = BodeRequest(subject.axis, loop, travel_max=math.tau * subject.limits.turns)
     result = tool_bode.measured(subject.context.session, request, enable=True)
     stem = tool_bode.write_files(result, subject.folder)
-    predicted, remedy = result.prediction.margins, "the identified motor values, or a load behind a spring (servo-tool resonance)"
+    predicted = result.prediction.margins
+    remedy = "the identified motor values, or a load behind a spring (servo-tool resonance)"
     expected = predicted.crossover or 0.0
     ends = expected * (1.0 - _CROSSOVER), expected * (1.0 + _CROSSOVER)
     figures = [
