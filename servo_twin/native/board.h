@@ -139,7 +139,8 @@ void board_free(board_t *board);
 void board_advance(board_t *board, uint64_t until_ns);
 uint64_t board_time_ns(const board_t *board);
 
-/* Reason for which the board has stopped permanently, otherwise NULL: the software used a function that is not modelled. */
+/* Reason for which the board has stopped until another state is restored, otherwise NULL: the software used a function that is
+ * not modelled, or a shaft is faster than any motor. */
 const char *board_error(const board_t *board);
 
 /* board_advance with a log of the signals of the chip, as of a logic analyser; stops early when `room` is full. Returns the

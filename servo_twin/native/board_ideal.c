@@ -61,11 +61,7 @@ void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
     board->servo.axis[axis].diagnosis.winding.temperature = temperature;
 }
 
-const char *board_error(const board_t *board)
-{
-    (void)board;
-    return NULL;
-}
+const char *board_error(const board_t *board) { return plant_too_fast(&board->chip.plant) ? SHAFT_TOO_FAST : NULL; }
 
 void board_advance(board_t *board, uint64_t until_ns) { (void)chip_run(&board->chip, until_ns, false); }
 

@@ -39,6 +39,9 @@ static void advance_plant(void *self, uint64_t clock)
 {
     board_t *board = (board_t *)self;
     switching_advance(&board->plant, clock);
+    if (board->plant.too_fast) {
+        board->chip.BOARD_BUS.stop = true;
+    }
 }
 
 static uint64_t next_event(void *self)
@@ -351,20 +354,23 @@ void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
 
 const char *board_error(const board_t *board)
 {
-    return board->chip.BOARD_BUS.failed ? board->chip.BOARD_BUS.error : NULL;
+    return board->chip.BOARD_BUS.failed ? board->chip.BOARD_BUS.error : board->plant.too_fast ? SHAFT_TOO_FAST : NULL;
 }
 
 /* Returns true if it has stopped before `until_ns`, for a slow tick. */
 static bool run(board_t *board, uint64_t until_ns)
 {
     boot_once(board);
+    if (board->plant.too_fast) {
+        return false;
+    }
     board->chip.BOARD_BUS.stop = false;
     run_chip(board, board->zero + board_clocks(until_ns));
     const uint64_t reached =
         (board->chip.BOARD_BUS.now > board->zero) ? board_clocks_ns(board->chip.BOARD_BUS.now - board->zero) : 0u;
     if (board->chip.BOARD_BUS.stop || board->chip.BOARD_BUS.failed) {
         board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
-        return board->chip.BOARD_BUS.stop;
+        return board->chip.BOARD_BUS.stop && !board->plant.too_fast;
     }
     board->time_ns = (until_ns > board->time_ns) ? until_ns : board->time_ns;
     board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;

@@ -239,6 +239,9 @@ bool chip_run(hal_t *chip, uint64_t until_ns, bool stop_after_scan)
 {
     const uint32_t scans = chip->scans;
     for (;;) {
+        if (plant_too_fast(&chip->plant)) {
+            return false;
+        }
         const uint64_t serial_ns = uart_next_ns(&chip->uart);
         const bool serial = serial_ns <= chip->grid_ns;
         const uint64_t next_ns = serial ? serial_ns : chip->grid_ns;

@@ -162,3 +162,18 @@ def test_motion_that_cannot_be_is_refused(
 ) -> None:
     with Board(plant(**changes), seed=4) as board, pytest.raises(BoardError, match=message):
         board.drive_shaft(AXIS, *motion)
+
+
+@pytest.mark.parametrize("torque", [100.0, -1e5, 1e9, -1e300])
+def test_torque_beyond_any_motor_ends_the_run_until_a_state_is_restored(torque: float) -> None:
+    with Board(seed=4) as board:
+        board.run(0.05)
+        state = board.state()
+        board.set_load(AXIS, torque)
+        with pytest.raises(BoardError, match="faster than 20000 rad/s"):
+            board.run(0.1)
+        with pytest.raises(BoardError, match="faster than 20000 rad/s"):
+            board.run(0.1)
+        board.restore(state)
+        board.run(0.1)
+        assert board.truth(AXIS).omega_m == 0.0

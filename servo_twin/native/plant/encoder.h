@@ -59,12 +59,12 @@ static inline double plant_encoder_disc(const plant_encoder_t *encoder, double t
     return encoder->eccentric ? plant_encoder_eccentric(encoder, theta) : theta;
 }
 
-/* True if the shaft at `theta` has passed an edge that is not counted yet. */
+/* True if the shaft at `theta` has passed an edge that is not counted yet, or `theta` is not a number. */
 static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double theta)
 {
     const double x =
         plant_encoder_disc(encoder, theta) * encoder->edges_per_rad - (double)(encoder->edge - encoder->slipped);
-    return x < 0.0 || x >= 1.0;
+    return !(x >= 0.0 && x < 1.0);
 }
 
 /* Follow the shaft; `reference_ns` is the simulated time to which start_ns refers. */

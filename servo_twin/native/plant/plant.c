@@ -103,6 +103,21 @@ void plant_change(plant_t *plant, const board_config_t *config)
     update_pair(plant);
 }
 
+/* The encoder follows a movement. */
+static inline void follow(plant_drive_t *axis, const plant_movement_t *movement, uint64_t now_ns)
+{
+    if (!plant_encoder_leaves(&axis->encoder, movement->theta_1)) {
+        return;
+    }
+    if (shaft_too_fast(movement->omega_1, movement->theta_1)) {
+        axis->too_fast = true;
+    } else if (axis->encoder.armed) {
+        plant_encoder_move(&axis->encoder, movement, now_ns);
+    } else {
+        plant_encoder_count(&axis->encoder, movement->theta_1);
+    }
+}
+
 /* Step of one axis: `step` [ns] from `start` [ns] within the step of the plant. Returns the charge drawn from the bus [A s]. */
 static double step_axis(plant_drive_t *axis, double u_dc, uint64_t now_ns, double start, double step)
 {
@@ -116,9 +131,7 @@ static double step_axis(plant_drive_t *axis, double u_dc, uint64_t now_ns, doubl
         movement.duration_ns = used;
         movement.theta_1 = motor->theta;
         movement.omega_1 = motor->omega;
-        if (plant_encoder_leaves(&axis->encoder, motor->theta)) {
-            plant_encoder_move(&axis->encoder, &movement, now_ns);
-        }
+        follow(axis, &movement, now_ns);
         /* a rest below half a nanosecond is rounding */
         done = (rest - used < 0.5) ? step : done + used;
     }
@@ -197,15 +210,11 @@ PLANT_NOINLINE void plant_step(plant_t *plant, uint64_t now_ns)
         if ((taken & (1u << i)) == 0u) {
             charge += axis->shaft.fine ? step_axis_finely(axis, plant->bus.u, now_ns, (double)plant->step_ns)
                                        : step_axis(axis, plant->bus.u, now_ns, 0.0, (double)plant->step_ns);
-        } else if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
-            if (axis->encoder.armed) {
-                const plant_movement_t movement = {
-                    theta[i], axis->motor.theta, omega[i], axis->motor.omega, 0.0, (double)plant->step_ns,
-                };
-                plant_encoder_move(&axis->encoder, &movement, now_ns);
-            } else {
-                plant_encoder_count(&axis->encoder, axis->motor.theta);
-            }
+        } else {
+            const plant_movement_t movement = {
+                theta[i], axis->motor.theta, omega[i], axis->motor.omega, 0.0, (double)plant->step_ns,
+            };
+            follow(axis, &movement, now_ns);
         }
         if (axis->faults.has_glitches) {
             inject_glitches(axis, plant->step, now_ns);

@@ -40,6 +40,7 @@ typedef struct {
     double torque; /* of the air gap at the end of the last step [N m] */
     double impulse; /* its integral since power-on [N m s] */
     double t_magnet; /* [deg C] */
+    bool too_fast; /* shaft_too_fast: the plant stands still from then on */
     double magnet_share; /* decay of the difference to the winding temperature per step of the temperatures, 0..1 [1] */
 } plant_drive_t;
 
@@ -61,6 +62,9 @@ void plant_init(plant_t *plant, const board_config_t *config);
 
 /* One step of plant->step_ns, a half cycle of the PWM, that begins at `now_ns`. */
 void plant_step(plant_t *plant, uint64_t now_ns);
+
+/* True if a shaft has been too fast: do not step the plant any more. */
+static inline bool plant_too_fast(const plant_t *plant) { return plant->axis[0].too_fast || plant->axis[1].too_fast; }
 
 /* New parameters, as board_change_plant. */
 void plant_change(plant_t *plant, const board_config_t *config);

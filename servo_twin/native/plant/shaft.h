@@ -18,6 +18,16 @@
 #include "board.h"
 #include "plant/trig.h"
 
+#define SHAFT_SPEED_MAX 20000.0 /* [rad/s] */
+#define SHAFT_TOO_FAST "a shaft is faster than 20000 rad/s: external torque or supply are too large"
+
+/* No motor is so fast; encoder edges and voltages would be without bound, and at last not numbers: then `other`, a sum of
+ * quantities of the axis, is none, even if friction has already set the speed to 0. */
+static inline bool shaft_too_fast(double omega, double other)
+{
+    return !(fabs(omega) <= SHAFT_SPEED_MAX && isfinite(other));
+}
+
 typedef struct {
     bool fine; /* needs shorter steps than the plant: second mass, cogging or saturation */
     bool two_masses;

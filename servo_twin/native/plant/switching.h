@@ -124,6 +124,7 @@ typedef struct {
     double charge_booked[BOARD_AXES]; /* charge drawn at this current since the axis was advanced [A s] */
     double u_h[BOARD_AXES]; /* integral of the bus voltage since then [V s] */
     uint64_t window, window_clock; /* length and end of the present window [clocks] */
+    bool too_fast; /* shaft_too_fast at the end of a window: do not advance the plant any more */
     unsigned windows; /* windows since the last step of the temperatures */
     uint64_t other_clock; /* next event but encoder edges and trips: window, shaft, short, disturbance */
     switching_event_t event[SWITCHING_EVENTS];

@@ -76,6 +76,8 @@ void switching_end_window(switching_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
         switching_advance_axis(plant, i);
+        plant->too_fast =
+            plant->too_fast || shaft_too_fast(axis->inverter.omega, axis->inverter.theta + axis->inverter.phase[0]);
         const terminal_integral_t now = switched_inverter_integral(&axis->inverter);
         for (int k = 0; k < 3; k++) {
             axis->voltage[k] = (now.volts[k] - axis->window.volts[k]) * per_h;
