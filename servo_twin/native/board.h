@@ -284,6 +284,9 @@ const char *board_save(board_t *board, uint8_t *image, size_t room, size_t *size
  * changed. */
 const char *board_restore(board_t *board, const uint8_t *image, size_t size);
 
+/* The check sum that an image contains, of any bytes. */
+uint64_t board_check_sum(const uint8_t *data, size_t size);
+
 /* Address and size of the table of variables for board_read, in the format of FreeMASTER TSA (flags 13h). */
 void board_table(uint32_t *address, uint32_t *size);
 /* CFFI-END */

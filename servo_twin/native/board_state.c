@@ -31,7 +31,7 @@ static uint64_t build_identity(const board_t *board)
     return (build ^ distance((uintptr_t)board_save)) * PRIME;
 }
 
-static uint64_t check_sum(const uint8_t *data, size_t size)
+uint64_t board_check_sum(const uint8_t *data, size_t size)
 {
     uint64_t lane[LANES] = {1, 2, 3, 4};
     size_t at = 0;
@@ -186,7 +186,7 @@ const char *board_save(board_t *board, uint8_t *image, size_t room, size_t *size
     uint8_t *rings = copy_without_gaps(board, body, TO_IMAGE);
     make_relative(board, body);
     copy_rings(board, rings, TO_IMAGE);
-    const header_t header = {MAGIC, build_identity(board), *size, check_sum(body, *size - sizeof header)};
+    const header_t header = {MAGIC, build_identity(board), *size, board_check_sum(body, *size - sizeof header)};
     memcpy(image, &header, sizeof header);
     return NULL;
 }
@@ -202,7 +202,7 @@ const char *board_restore(board_t *board, const uint8_t *image, size_t size)
         return "the state is from another build or level of the board, or another program; only what saved it can continue it";
     }
     uint8_t *body = (uint8_t *)image + sizeof header; /* only read */
-    if (header.size != size || header.check != check_sum(body, size - sizeof header)) {
+    if (header.size != size || header.check != board_check_sum(body, size - sizeof header)) {
         return "the state is incomplete or damaged";
     }
     uint8_t *rings = copy_without_gaps(board, body, TO_BOARD);

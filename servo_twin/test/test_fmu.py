@@ -254,9 +254,55 @@ def test_step_back_and_another_instance_continue_with_the_same_bits(
     other.step(2000)
     assert other.everything() == end
     assert other.get("axis1.cmd.enable") == 1.0
-    with pytest.raises(Exception, match="fmi3DeserializeFMUState"):
-        other.slave.deserializeFMUState(data[:-1])
+    damaged = [data[:k] + bytes([data[k] ^ 1]) + data[k + 1 :] for k in range(0, 4000, 97)]
+    for wrong in [data[:-1], *damaged]:
+        with pytest.raises(Exception, match=r"fmi3(Deserialize|Set)FMUState"):
+            other.slave.setFMUState(other.slave.deserializeFMUState(wrong))
+    assert other.everything() == end
     other.slave.freeInstance()
+
+
+@pytest.mark.parametrize("start", [0.123, 1e6])
+def test_added_step_sizes_and_a_late_start_are_accepted(fmu: Instance, start: float) -> None:
+    fmu.slave.enterInitializationMode(startTime=start)
+    fmu.slave.exitInitializationMode()
+    time = start
+    for _ in range(3000):
+        size = (time + 1e-3) - time  # as a master that knows points only
+        fmu.slave.doStep(time, size)
+        time += size
+    assert fmu.get("tick") == 48000
+
+
+def test_torque_beyond_any_motor_is_an_error_that_a_state_undoes(fmu: Instance) -> None:
+    fmu.start()
+    fmu.step(800)
+    state = fmu.slave.getFMUState()
+    fmu.set("axis1.torque", 1e6)
+    with pytest.raises(Exception, match="fmi3DoStep"):
+        fmu.step(1600)
+    assert "faster than 20000 rad/s" in fmu.messages[-1]
+    fmu.slave.setFMUState(state)
+    fmu.step(1600)
+    assert fmu.get("truth.axis1.omega_m") == 0.0
+
+
+def test_calls_in_another_order_are_refused(fmu: Instance) -> None:
+    with pytest.raises(Exception, match="fmi3ExitInitializationMode"):
+        fmu.slave.exitInitializationMode()
+    fmu.slave.enterInitializationMode(startTime=0.0)
+    with pytest.raises(Exception, match="fmi3DoStep"):
+        fmu.step(16)
+    fmu.slave.exitInitializationMode()
+    fmu.time_ns = 0
+    fmu.step(16)
+    fmu.slave.terminate()
+    with pytest.raises(Exception, match="fmi3DoStep"):
+        fmu.step(16)
+    fmu.slave.reset()
+    fmu.start()
+    fmu.time_ns = 0
+    fmu.step(16)
 
 
 @pytest.mark.parametrize(
@@ -265,6 +311,8 @@ def test_step_back_and_another_instance_continue_with_the_same_bits(
         (lambda fmu: fmu.step(1.5), "communicationStepSize: is not a multiple of a PWM period"),
         (lambda fmu: fmu.slave.doStep(5e-3, 62.5e-6), "currentCommunicationPoint: is not the end of the last step"),
         (lambda fmu: fmu.set("axis1.torque", float("nan")), "not a number"),
+        (lambda fmu: fmu.set("supply.u_source", float("inf")), "the value is infinite"),
+        (lambda fmu: fmu.slave.enterInitializationMode(), "fmi3EnterInitializationMode: comes after"),
         (lambda fmu: fmu.set("axis1.cmd.speed", 1e6), "axis1.cmd.speed: the firmware refuses"),
         (lambda fmu: fmu.set("axis1.fault.heat", -1.0), "fault: is negative"),
         (lambda fmu: fmu.set("plant.axis1.r_s", 1.0), "no variable that can be set now"),

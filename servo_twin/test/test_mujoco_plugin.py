@@ -249,6 +249,16 @@ def test_jump_of_a_joint_is_named_and_the_simulation_goes_on(moving: tuple[Any, 
         (arm(axis1="shoulder PATH"), "'axis1': no actuator has this name"),
         (arm(axis2="shoulder"), "two axes"),
         (arm(axis2=""), "a board has two axes"),
+        (arm().replace('joint="elbow"', 'joint="shoulder"'), "two axes of boards are at one joint"),
+        (
+            arm(axis2="")
+            .replace("</plugin></extension>", '<instance name="other"/></plugin></extension>')
+            .replace(
+                'joint="elbow" gear="100.0" plugin="servo.board" instance="board"',
+                'joint="shoulder" plugin="servo.board" instance="other"',
+            ),
+            "two axes of boards are at one joint",
+        ),
         (arm(step=0.0003), "'timestep': not a multiple of a PWM period"),
         (arm("shoulder TRAJECTORY", step=0.0000625), "'timestep': in mode TRAJECTORY a multiple of a slow tick"),
         (arm().replace("u_dc", "u_dcc"), "'u_dcc': sensors: the board has no such quantity"),

@@ -25,6 +25,7 @@ enum {
 /* All but the board. */
 typedef struct {
     uint64_t token; /* of the export */
+    uint64_t check; /* sum of the data behind it */
     uint64_t image_size; /* of the board's state behind this [bytes]; 0: not started */
     board_config_t config;
     double start; /* [s] */
@@ -167,6 +168,9 @@ static exported_result_t set_input(exported_t *exported, size_t index, double va
 {
     if (index >= INPUTS) {
         return failed("no such input", "valueReference");
+    }
+    if (isinf(value)) {
+        return refused("the value is infinite", "set");
     }
     if ((index == U_SOURCE || index % AXIS_INPUTS >= FIRST_FAULT) && value < 0.0) {
         return refused("is negative", (index == U_SOURCE) ? "supply.u_source" : "fault");
@@ -375,6 +379,10 @@ exported_result_t exported_start(exported_t *exported, double time)
     return done;
 }
 
+#define CHECKED offsetof(data_t, image_size)
+
+static uint64_t check_of(const uint8_t *state) { return board_check_sum(state + CHECKED, sizeof(data_t) - CHECKED); }
+
 /* A state is a data_t and the image of the board behind it. */
 exported_result_t exported_save(const exported_t *exported, uint8_t *state, size_t room, size_t *size)
 {
@@ -392,6 +400,8 @@ exported_result_t exported_save(const exported_t *exported, uint8_t *state, size
         data_t data = exported->data;
         data.image_size = image_size;
         memcpy(state, &data, sizeof data);
+        data.check = check_of(state);
+        memcpy(state + offsetof(data_t, check), &data.check, sizeof data.check);
     }
     return done;
 }
@@ -400,9 +410,10 @@ const char *exported_state_problem(const uint8_t *state, size_t size)
 {
     data_t data = {0};
     memcpy(&data, state, (size < sizeof data) ? size : sizeof data);
-    return (size < sizeof data || data.token != EXPORT_TOKEN || data.image_size != size - sizeof data)
-               ? "is incomplete, or that of another export"
-               : NULL;
+    if (size < sizeof data || data.token != EXPORT_TOKEN || data.image_size != size - sizeof data) {
+        return "is incomplete, or that of another export";
+    }
+    return (data.check != check_of(state)) ? "is damaged" : NULL;
 }
 
 exported_result_t exported_restore(exported_t *exported, const uint8_t *state, size_t size)

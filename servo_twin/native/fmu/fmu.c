@@ -1,6 +1,7 @@
 /* A board as FMI 3.0 co-simulation. Value references are those of exported_board.h. */
 #include "fmu/fmi3.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,10 +11,13 @@
 #include "exported/exported_board.h"
 
 #define STEP_NS ((uint64_t)BOARD_PWM_PERIOD_NS) /* a communication step is a multiple of a PWM period */
-#define STEP_TOLERANCE 1e-6 /* rounding of communication points [periods] */
+#define STEP_TOLERANCE 1e-6 /* rounding of a step size [periods] */
+
+typedef enum { INSTANTIATED, INITIALIZATION, STEP, TERMINATED } fmu_mode_t;
 
 typedef struct {
     exported_t *exported;
+    fmu_mode_t mode;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
 } instance_t;
@@ -109,7 +113,9 @@ void fmi3FreeInstance(fmi3Instance instance)
 FMI3_EXPORT fmi3Status fmi3Reset(fmi3Instance instance);
 fmi3Status fmi3Reset(fmi3Instance instance)
 {
-    exported_reset(((instance_t *)instance)->exported);
+    instance_t *fmu = (instance_t *)instance;
+    exported_reset(fmu->exported);
+    fmu->mode = INSTANTIATED;
     return fmi3OK;
 }
 
@@ -148,34 +154,46 @@ FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Bo
 fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolerance_given, double tolerance,
                                        double start, fmi3Boolean stop_given, double stop)
 {
-    const instance_t *fmu = (const instance_t *)instance;
+    instance_t *fmu = (instance_t *)instance;
     (void)tolerance_given;
     (void)tolerance;
     (void)stop_given;
     (void)stop;
+    if (fmu->mode != INSTANTIATED) {
+        return report(fmu, fmi3Error, "comes after fmi3Instantiate or fmi3Reset", "fmi3EnterInitializationMode");
+    }
+    if (!isfinite(start)) {
+        return report(fmu, fmi3Error, "is not finite", "startTime");
+    }
+    fmu->mode = INITIALIZATION;
     return reported(fmu, exported_start(fmu->exported, start));
 }
 
 FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance instance);
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
-    (void)instance;
+    instance_t *fmu = (instance_t *)instance;
+    if (fmu->mode != INITIALIZATION) {
+        return report(fmu, fmi3Error, "comes after fmi3EnterInitializationMode", "fmi3ExitInitializationMode");
+    }
+    fmu->mode = STEP;
     return fmi3OK;
 }
 
 FMI3_EXPORT fmi3Status fmi3Terminate(fmi3Instance instance);
 fmi3Status fmi3Terminate(fmi3Instance instance)
 {
-    (void)instance;
+    ((instance_t *)instance)->mode = TERMINATED;
     return fmi3OK;
 }
 
-/* The number of PWM periods in a time, if it is a whole one. */
-static bool whole_periods(double seconds, double *periods)
+/* The nearest number of PWM periods in a time, and how far it is [periods]. */
+static double whole_periods(double seconds, double *distance)
 {
     const double number = seconds / (1e-9 * (double)STEP_NS);
-    *periods = floor(number + 0.5);
-    return fabs(number - *periods) <= STEP_TOLERANCE * (1.0 + 1e-6 * *periods) && *periods < 1e12;
+    const double periods = floor(number + 0.5);
+    *distance = fabs(number - periods);
+    return periods;
 }
 
 FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, double point, double size, fmi3Boolean no_set_state,
@@ -185,23 +203,29 @@ fmi3Status fmi3DoStep(fmi3Instance instance, double point, double size, fmi3Bool
 {
     const instance_t *fmu = (const instance_t *)instance;
     board_t *board = exported_board(fmu->exported);
-    double from;
-    double periods;
+    double distance;
     (void)no_set_state;
     *event = *terminate = *early = false;
     *last = point;
-    if (board == NULL) {
-        return report(fmu, fmi3Error, "the board is not initialised", "doStep");
+    if (fmu->mode != STEP || board == NULL) {
+        return report(fmu, fmi3Error, "the board is not initialised, or terminated", "fmi3DoStep");
     }
     const uint64_t now_ns = board_time_ns(board);
-    if (!whole_periods(point - exported_start_time(fmu->exported), &from) || (uint64_t)from * STEP_NS != now_ns) {
+    /* The nearest period: masters add up step sizes, whose rounding grows with time. */
+    if (whole_periods(point - exported_start_time(fmu->exported), &distance) * (double)STEP_NS != (double)now_ns) {
         return report(fmu, fmi3Discard, "is not the end of the last step; to go back, set a saved FMU state",
                       "currentCommunicationPoint");
     }
-    if (!whole_periods(size, &periods) || periods < 1.0) {
+    const double periods = whole_periods(size, &distance);
+    /* The size may be the difference of two points, each rounded. */
+    const double rounding = DBL_EPSILON * (fabs(point) + size) / (1e-9 * (double)STEP_NS);
+    if (!(periods >= 1.0 && periods < 1e12 && distance <= STEP_TOLERANCE * (1.0 + 1e-6 * periods) + rounding)) {
         return report(fmu, fmi3Discard, "is not a multiple of a PWM period; choose one", "communicationStepSize");
     }
     board_advance(board, now_ns + (uint64_t)periods * STEP_NS);
+    if (board_error(board) != NULL) {
+        return report(fmu, fmi3Error, board_error(board), "fmi3DoStep");
+    }
     *last = point + size;
     return fmi3OK;
 }
@@ -245,10 +269,16 @@ fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
 FMI3_EXPORT fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state);
 fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
 {
-    const instance_t *fmu = (const instance_t *)instance;
+    instance_t *fmu = (instance_t *)instance;
     const state_t *saved = (const state_t *)state;
-    return (saved == NULL) ? report(fmu, fmi3Error, "is NULL", "FMU state")
-                           : reported(fmu, exported_restore(fmu->exported, saved->bytes, saved->size));
+    if (saved == NULL) {
+        return report(fmu, fmi3Error, "is NULL", "FMU state");
+    }
+    const fmi3Status status = reported(fmu, exported_restore(fmu->exported, saved->bytes, saved->size));
+    if (status == fmi3OK) {
+        fmu->mode = (exported_board(fmu->exported) != NULL) ? STEP : INSTANTIATED;
+    }
+    return status;
 }
 
 FMI3_EXPORT fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size);

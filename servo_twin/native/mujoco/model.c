@@ -49,6 +49,19 @@ static const char *config(const mjModel *m, int instance, const char *name)
     return (text != NULL) ? text : "";
 }
 
+/* A joint has one motor: two rotors would need two torques and twice the inertia. */
+static bool shares_joint(const mjModel *m, int actuator)
+{
+    for (int k = 0; k < (int)m->nu; k++) {
+        if (k != actuator && m->actuator_plugin[k] >= 0 && m->actuator_trntype[k] == mjTRN_JOINT &&
+            m->plugin[m->actuator_plugin[k]] == m->plugin[m->actuator_plugin[actuator]] &&
+            m->actuator_trnid[2 * k] == m->actuator_trnid[2 * actuator]) {
+            return true;
+        }
+    }
+    return false;
+}
+
 static const char *refuse_drive(const mjModel *m, int instance, int actuator)
 {
     const int joint = m->actuator_trnid[2 * actuator];
@@ -59,7 +72,9 @@ static const char *refuse_drive(const mjModel *m, int instance, int actuator)
         (m->jnt_type[joint] != mjJNT_HINGE && m->jnt_type[joint] != mjJNT_SLIDE)) {
         return "a motor turns a hinge or a slide; write joint=... of one of them";
     }
-    return NULL;
+    return shares_joint(m, actuator)
+               ? "two axes of boards are at one joint; give each a joint of its own, tied by <equality>"
+               : NULL;
 }
 
 /* "ACTUATOR [MODE]" of an axis. NULL, or what is wrong. */

@@ -252,6 +252,9 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
         }
     }
     board_advance(board, board_time_ns(board) + step_ns);
+    if (board_error(board) != NULL) {
+        mju_error(PLUGIN_NAME ": instance %d: %s", instance, board_error(board));
+    }
     for (int axis = 0; axis < AXES; axis++) {
         board_truth(board, axis, &truth);
         head.axis[axis].torque = (truth.impulse_e - before[axis]) / m->opt.timestep;
