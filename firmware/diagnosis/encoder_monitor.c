@@ -101,11 +101,15 @@ static bool current_flows(const winding_config_t *config, const observation_t *o
 }
 
 /* Voltage that half of the resistance, dead time and switches may account for. Dead time is not compensated at small
- * currents. */
+ * currents. Without a compensation a vector loses up to 4/3 of the voltage of a leg, whose floor has half of its dead
+ * time. */
 static int32_t tolerated(const winding_config_t *config, const observation_t *o)
 {
-    const bool exact = (o->features & FEATURE_DEAD_TIME) != 0U && o->current_magnitude > config->current_min;
-    return (exact ? 1 : 2) * (int32_t)config->emf_floor + asr32(o->drop, 1);
+    int32_t floors = 3;
+    if ((o->features & FEATURE_DEAD_TIME) != 0U) {
+        floors = (o->current_magnitude > config->current_min) ? 1 : 2;
+    }
+    return floors * (int32_t)config->emf_floor + asr32(o->drop, 1);
 }
 
 /* The output of integrators in wind-up rotates too, but more slowly than a rotor with a back-EMF of that size.
