@@ -33,6 +33,7 @@ HELD_SPEED: Final = 1.0  # largest speed at rest under position control, which c
 
 _REST_MAX: Final = 6.0  # timeout for coming to rest without current [s]
 _SLOWING: Final = 0.9  # largest ratio of the speeds at the end and the beginning of this time while coasting
+_SWING: Final = 4.0  # smallest swing of an oscillation, relative to the speed at rest
 _HOLD_MAX: Final = 5.0  # timeout for coming to rest under control [s]
 _REFRESH_PART: Final = 0.25  # interval of rewriting a set-point, relative to its timeout
 _REFRESH_MAX: Final = 0.25  # the same interval if set-points do not expire [s]
@@ -228,14 +229,27 @@ class AxisUnderTest:
     def wait_for_rest(self, speed: float = REST_SPEED) -> None:
         """Wait until the shaft is at rest; `speed` as in `is_at_rest`.
 
-        A shaft that coasts with little friction may take several times the timeout, as long as it becomes slower.
+        A shaft that coasts with little friction may take several times the timeout, as long as it becomes slower. A
+        fault is an error: it also brings the shaft to rest.
         """
         before, now = math.inf, abs(self.value("speed"))
+        speeds = [0.0]
+
+        def rests() -> bool:
+            speeds.append(self.value("speed"))
+            return abs(speeds[-1]) < speed
+
         while now < _SLOWING * before:
-            if self.reached(lambda: self.is_at_rest(speed), _REST_MAX, refuse_on_fault=False):
+            if self.reached(rests, _REST_MAX, refuse_on_fault=False):
+                refuse_faults(self.access, self.axis)
                 return
             before, now = now, abs(self.value("speed"))
+        refuse_faults(self.access, self.axis)
         self.refuse_limits("REGENERATION")
+        swing = min(max(speeds), -min(speeds))
+        if swing > _SWING * speed:
+            text = f"{self.name} oscillates under control, by {swing:.2g} rad/s"
+            raise MeasurementError(text, "couple an inertia", about="oscillation")
         raise MeasurementError(
             f"{self.name} does not come to rest within {_REST_MAX:g} s: an external torque moves the shaft"
         )

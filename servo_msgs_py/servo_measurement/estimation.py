@@ -14,7 +14,7 @@ from servo_measurement.access import MeasurementError
 from servo_measurement.least_squares import mean_of
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_values import Estimate, MotorEstimates
-from servo_measurement.rotating_vector import follow_vector, sensor_errors
+from servo_measurement.rotating_vector import NotFollowingError, follow_vector, sensor_errors
 from servo_measurement.speed_runs import balance, flux, friction, half_wave, steady_of, torque_of
 from servo_measurement.standstill import Ohmic, impedance, ohmic
 
@@ -41,6 +41,16 @@ FAST_OVER_SLOW: Final = 1.4
 
 FOLLOW_TOLERANCE: Final = 0.15
 """Relative tolerance of the mean speed of a shaft that oscillates about a rotating vector, and of the vector."""
+
+
+class NoVoltageError(MeasurementError):
+    """The voltage of the flux is not seen."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the rotating rotor induces no voltage that differs from that of the switches: it is too slow or has no"
+            " magnets, or a wire is open"
+        )
 
 
 def _columns(log: MeasurementLog, point: str) -> tuple[str, str, str]:
@@ -82,16 +92,18 @@ def rotation_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
 
     Raises
     ------
+    NotFollowingError
+        If the shaft does not follow the last two vectors.
     MeasurementError
-        If the shaft does not follow the vector, or the encoder counts in the opposite direction.
+        If the encoder counts in the opposite direction.
     """
     name = axis_name(log.axis)
-    slow = log.labelled("turn_slow")
+    slow = log.labelled("turn_slow")[-2:]
     if not slow:
         raise MeasurementError("there is no recording of a rotating vector")
     found = [follow_vector(one[f"{name}.position"], one[f"{name}.test_angle"]) for one in slow]
     if len({one.pole_pairs for one in found}) != 1 or len({one.direction for one in found}) != 1:
-        raise MeasurementError("the shaft follows the rotating vector in one direction only: it is blocked or loaded")
+        raise NotFollowingError("the shaft follows the rotating vector in one direction only: it is blocked or loaded")
     if found[0].direction < 0:
         raise MeasurementError(
             "the encoder counts against the phase sequence: swap its lines A and B, or two wires of the motor"
@@ -122,13 +134,21 @@ def swing_of(recording: Trace, name: str, pairs: float) -> float:
     return float(np.std(np.unwrap(angle[usable]) - pairs * position[usable]))
 
 
-def lies_on_vector(l_d: Estimate, l_q: Estimate) -> bool:
-    """Whether a rotor that is not blocked lies on the vector that holds it; inductances along and across it [H].
+def lies_on_vector(l_d: Estimate, l_q: Estimate, l_d_low: Estimate | None = None) -> bool:
+    """Whether a rotor that is not blocked lies on the vector that holds it.
 
-    Above ``psi_m / (l_q - l_d)`` its reluctance turns it off the vector. There the inductance along the vector is the
-    larger one.
+    Above ``psi_m / (l_q - l_d)`` its reluctance turns it off the vector. From there on the inductance along the vector
+    grows with the current, and finally exceeds the one across it.
+
+    Parameters
+    ----------
+    l_d, l_q : Estimate
+        Inductances along and across the vector [H].
+    l_d_low : Estimate, optional
+        The one along a vector of a smaller current [H].
     """
-    return l_d.interval[0] <= (1.0 + SALIENT_MIN) * l_q.interval[1]
+    others = [l_q] if l_d_low is None else [l_q, l_d_low]
+    return all(l_d.interval[0] <= (1.0 + SALIENT_MIN) * one.interval[1] for one in others)
 
 
 def current_on_vector(along: float, across: float, held: float, flux: float, current: float) -> float:
@@ -159,10 +179,10 @@ def friction_angle_of(log: MeasurementLog, pairs: float) -> float:
     """
     name = axis_name(log.axis)
     lags = []
-    for one in log.labelled("turn_slow"):
+    for one in log.labelled("turn_slow")[-2:]:
         lag = np.exp(1j * (one[f"{name}.test_angle"] - pairs * one[f"{name}.position"]))
         lags.append(np.nanmean(lag))
-    forward, backward = lags[-2:]
+    forward, backward = lags
     return 0.5 * abs(float(np.angle(forward / backward)))
 
 
@@ -171,19 +191,21 @@ def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate
 
     Raises
     ------
-    MeasurementError
-        If the rotor does not follow, or induces no voltage.
+    NotFollowingError
+        If the rotor does not follow.
+    NoVoltageError
+        If it induces no voltage.
     """
     name = axis_name(log.axis)
     fast = [one for one in log.labelled("turn_fast") if shaft_follows(one, name, pairs)][-2:]
     speeds = [_speeds(one, name)[0] for one in fast]
     if len(fast) < 2 or speeds[0] * speeds[1] > 0.0:
-        raise MeasurementError(
+        raise NotFollowingError(
             "the shaft does not follow a rotating vector: it is blocked, or the current is too small for its friction"
             " or inertia"
         )
     # the lost voltage lags the current, by a voltage that is the same at all of these speeds
-    slow = [one for one in log.labelled("turn_slow") if shaft_follows(one, name, pairs)]
+    slow = [one for one in log.labelled("turn_slow")[-2:] if shaft_follows(one, name, pairs)]
     points = np.array([(_speeds(one, name)[0], mean_of(one[f"{name}.u_q"])[0]) for one in slow + fast])
     columns = [points[:, 0]]
     if abs(speeds[0]) > FAST_OVER_SLOW * abs(points[0, 0]):
@@ -191,10 +213,7 @@ def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate
     total = float(np.linalg.lstsq(np.column_stack(columns), points[:, 1], rcond=None)[0][0])
     induced = total - l_d * mean_of(fast[0][f"{name}.i_d"])[0]
     if not induced > 1e-4:
-        raise MeasurementError(
-            "the rotating rotor induces no voltage that differs from that of the switches: it has no magnets, or a wire"
-            " is open"
-        )
+        raise NoVoltageError
     return {"psi_m": Estimate(induced, FLUX_UNCERTAINTY * induced)}
 
 

@@ -19,9 +19,10 @@ from servo_tuning.schema import BOARD_GROUPS
 
 from servo_measurement.access import Capture, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import HELD_SPEED, AxisUnderTest
+from servo_measurement.dead_time import rounded_up
 from servo_measurement.log import LoggedAccess
 from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted, supply
-from servo_measurement.motor_values import Limits
+from servo_measurement.motor_values import VOLTAGE_USE, Limits
 from servo_measurement.test_signal import TRIGGER, SweptSine, prepare_test_signal, start_test_signal
 
 PROTECTION: Final = "protection"
@@ -50,6 +51,7 @@ NOMINAL: Final[Mapping[str, float]] = {
 }
 """Motor values before any measurement; only the current controllers use them, with other gains."""
 
+CURRENT_STEP: Final = 1.5  # between currents that are tried for a remedy
 _MARK: Final = 0.1
 """Length of a test signal with zero amplitude, which marks the beginning of a recording [s]."""
 _SAMPLES: Final = 1280
@@ -240,17 +242,35 @@ class MotorRig(AxisUnderTest):
     def fitted(self, motor: Mapping[str, float], *, inertia_known: bool) -> Table:
         """``servo.toml`` with the bandwidths possible for a motor; its values in SI by name."""
         try:
-            return fitted(
-                self._base,
-                self.axis,
-                self.limits,
-                motor,
-                slow_loops=True,
-                inertia_known=inertia_known,
-                attend=self.attend,
-            )
+            return self._fitted(self.limits, motor, inertia_known)
         except ConfigError as error:
-            raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
+            text = f"the controller cannot be tuned for the test: {error.problem.fact}"
+            current = self._tunable_current(motor, inertia_known)
+            remedies = [] if current is None else [higher("--current", current)]
+            raise MeasurementError(text, *remedies, about="tuning") from None
+
+    def _fitted(self, limits: Limits, motor: Mapping[str, float], inertia_known: bool) -> Table:
+        return fitted(
+            self._base, self.axis, limits, motor, slow_loops=True, inertia_known=inertia_known, attend=self.attend
+        )
+
+    def _tunable_current(self, motor: Mapping[str, float], inertia_known: bool) -> float | None:
+        """A current limit with which the controller can be tuned, if the board and its voltage can do it [A]."""
+        limits = self.limits
+        of_torque = () if inertia_known else ("inertia", "friction")  # guesses
+        of_voltage = VOLTAGE_USE * limits.voltage / math.sqrt(3.0) / motor["r_s"]
+        largest = min(self.access.catalogue["param.i_q_limit"].maximum, of_voltage)
+        factor = CURRENT_STEP
+        while (current := rounded_up(factor * limits.current)) <= largest:
+            changed = {**motor, **{name: factor * motor[name] for name in of_torque}}
+            try:
+                self._fitted(dataclasses.replace(limits, current=current), changed, inertia_known)
+            except ConfigError:
+                factor *= CURRENT_STEP
+            else:
+                # more, because the values of the motor change with the current
+                return current if CURRENT_STEP * current > largest else rounded_up(CURRENT_STEP * current)
+        return None
 
     def _send(self, table: Mapping[str, Any], members: Mapping[str, int]) -> None:
         """Send a configuration to the board, with some members of the block replaced."""

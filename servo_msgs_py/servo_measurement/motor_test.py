@@ -19,7 +19,7 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD, PERIOD_NS, TICK
-from servo_tuning.errors import higher, lower
+from servo_tuning.errors import higher, lower, raised
 from servo_tuning.rotor_search import FRICTION_USE, SALIENT_USE
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
@@ -29,9 +29,11 @@ from servo_measurement.estimation import (
     BAND,
     FLUX_CURRENT_TIME,
     PLAIN_TIME,
+    NoVoltageError,
     current_on_vector,
     flux_of,
     friction_angle_of,
+    inductance_at_low_current,
     inductances_of,
     lies_on_vector,
     resistance_of,
@@ -50,7 +52,8 @@ from servo_measurement.motor_rig import (
     SUPPLY_FAULTS,
     MotorRig,
 )
-from servo_measurement.motor_values import Estimate, Limits
+from servo_measurement.motor_values import VOLTAGE_USE, Estimate, Limits
+from servo_measurement.rotating_vector import NotFollowingError
 from servo_measurement.speed_runs import balance
 from servo_measurement.standstill import RESISTANCE_MIN, Ohmic, impedance
 
@@ -64,7 +67,6 @@ SWEEP: Final[Mapping[str, float]] = {"d": 0.28, "q": 0.2}
 SWEEPS: Final = 3
 VECTOR_LOW: Final = 0.35  # current for the comparison of the inductance, relative to the limit
 SWEEP_LOW: Final = 0.2  # amplitude of the test signal there
-VOLTAGE_USE: Final = 0.6  # largest resistive voltage drop, relative to the voltage
 TURN: Final = "turn"
 PULSES: Final = "pulses"
 """Stages that a simulation of the measurement can omit: they begin and end at rest."""
@@ -73,17 +75,22 @@ INDUCTANCE_PART: Final = 0.3  # largest half interval of the first inductance, r
 EXPLAINED_MIN: Final = 0.9  # part of the current explained by a response that is above the noise
 SHARE_MIN: Final = 0.1  # the same of a response to which a current can be told that is enough
 LOOP: Final = 400.0  # bandwidth of the current loop with known inductance [Hz]
-TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
-TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
+TURN_SLOW: Final = ((4.0 * math.pi, 120.0, 4), (3.0 * math.pi, 30.0, 4), (math.pi, 8.0, 16))
+"""Electrical speed [rad/s], acceleration [rad/s^2] and slow ticks per sample, tried in this order until the rotor
+follows without a swing: a heavy one slips in a short ramp, or swings for seconds after it. The lower speeds remain
+within the least travel."""
+TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0, 2.0))
 """Speeds, tried in this order until the rotor follows."""
+TURN_FASTER: Final = tuple(2.0 * math.pi * turns for turns in (24.0, 48.0))
+"""The same if the voltage of the flux is not seen at these speeds."""
 TURN_USE: Final = 0.5  # mean speed of a shaft that swings about the vector, relative to its largest one
-TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
-TURN_GENTLE: Final = 30.0
-"""The same for a heavy rotor [rad/s^2], which swings about the vector for seconds after a ramp."""
+TURN_REST: Final = 12.0  # longest wait for the end of a swing before the vector rotates [s]
+VISIBLE: Final = 0.06  # smallest voltage of a flux that is seen, relative to the voltage lost in a leg
+TURN_RAMP_MAX: Final = 2.2  # longest ramp [s]: with recording and stop less than a recording may take
 TURN_EVERY: Final = 2  # slow ticks per sample
-TURN_EVERY_GENTLE: Final = 8  # the same for a heavy rotor: the mean speed of several swings
+TURN_EVERY_HEAVY: Final = 8  # the same for a heavy rotor: the mean speed of several swings
 TURN_FAST_SAMPLES: Final = 250
-SWING_MAX: Final = 0.25  # largest standard deviation of the swing of a light rotor, electrical [rad]
+SWING_MAX: Final = 0.25  # largest standard deviation of a swing about the vector, electrical [rad]
 CURRENT_MARGIN: Final = 1.2  # of a current that is named to be enough
 TURN_SETTLE: Final = 0.1  # [s]
 PULSE: Final = 0.5
@@ -93,6 +100,7 @@ PULSE_GROWTH: Final = 2.0  # of the current, from pulse to pulse
 PULSE_TIME: Final = 0.1  # longest pulse with less than `PULSE` [s]
 PULSE_SPEED: Final = 0.5  # speed limit of the board during the pulses, relative to the largest speed
 PULSE_MAX: Final = 1.5  # [s]
+LIGHT: Final = 3.0  # smallest ratio of guess and inertia at which the guess is replaced
 MOVED: Final = 0.03  # smallest movement of a shaft that is not blocked [rad]
 BRAKE_TIME: Final = 0.15  # time constant of the deceleration after a pulse [s]
 SPEEDS: Final = (0.3, 0.6, 1.0)
@@ -155,6 +163,7 @@ class MotorTest:
         self._smallest = 0.0  # current with which the dead time does not hide the winding [A]
         self._resistance = 0.0  # of winding and switch, from two currents [ohm]
         self._band = 0.0  # range of sign changes if it contains all phase currents [A]
+        self._inertia_ramp = math.inf  # electrical acceleration after which a heavy rotor swings or slips [rad/s^2]
         self._coasts = False  # whether the bus takes no energy, so that only friction stops the shaft
         self._friction_current = 0.0  # that turns a shaft against its friction, from the rotating vector [A]
         self._current = limits.current  # largest current, reduced if the resistive voltage drop is too large [A]
@@ -355,38 +364,14 @@ class MotorTest:
         rig.command("cmd.i_q", self._current)
         rig.wait(0.1)
         names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
-        for direction in (1.0, -1.0):
-            self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW, TURN_RAMP)
-        r = self._values["r_s"].value + rig.limits.r_on
-        self._values.update(rotation_of(self.log, r))
+        ramp = self._turn_slowly(names)
         pairs = self._values["pole_pairs"].value
-        travel_max = 2.0 * math.pi * rig.limits.turns * pairs
-        slow = self.log.labelled("turn_slow")
-        swings = max(swing_of(one, rig.name, pairs) for one in slow) > SWING_MAX
-        ramp, every = (TURN_GENTLE, TURN_EVERY_GENTLE) if swings else (TURN_RAMP, TURN_EVERY)
+        every = TURN_EVERY if ramp == TURN_SLOW[0][1] else TURN_EVERY_HEAVY
         # the vector was limited as if it turned a shaft with one pole pair
-        limit = min(TURN_USE * pairs * rig.limits.speed, rig.access.catalogue["param.speed_limit"].maximum)
+        speed_max = rig.access.catalogue["param.speed_limit"].maximum
+        limit = min(TURN_USE * pairs * rig.limits.speed, speed_max)
         rig.write("param.speed_limit", limit / NOMINAL["pole_pairs"])
-        for electrical in sorted({min(speed, limit) for speed in TURN_FAST}, reverse=True):
-            seconds = TURN_SETTLE + TURN_FAST_SAMPLES * every * TICK + LATENCY
-            if electrical**2 / ramp + electrical * seconds > travel_max:
-                continue
-            recordings = [
-                self._record_rotating("turn_fast", names, TURN_FAST_SAMPLES, every, direction * electrical, ramp)
-                for direction in (1.0, -1.0)
-            ]
-            if all(shaft_follows(one, rig.name, pairs) for one in recordings):
-                break
-        try:
-            self._values.update(flux_of(self.log, self._values["l_d"].value, pairs))
-        except MeasurementError as error:
-            if limit >= TURN_FAST[0] or not all(shaft_follows(one, rig.name, pairs) for one in slow):
-                raise  # not because of the speed
-            raise MeasurementError(
-                f"{error}, or {rig.limits.speed:.3g} rad/s are too slow",
-                higher("--speed-max", rounded_up(TURN_FAST[0] / (TURN_USE * pairs))),
-                about="flux",
-            ) from None
+        self._values.update(self._flux(names, limit, ramp, every))
         self._check_on_vector()
         angle = friction_angle_of(self.log, pairs)
         self._check_friction(angle)
@@ -396,9 +381,88 @@ class MotorTest:
         rig.wait(0.05)
         rig.off()
 
+    def _turn_slowly(self, columns: Sequence[str]) -> float:
+        """Values of a rotor that follows a slow vector; returns the acceleration with which it does [rad/s^2]."""
+        rig, first = self._rig, None
+        for electrical, ramp, every in TURN_SLOW:
+            last = ramp == TURN_SLOW[-1][1]
+            turns = [
+                self._record_rotating("turn_slow", columns, 450, every, direction * electrical, ramp)
+                for direction in (1.0, -1.0)
+            ]
+            try:
+                found = rotation_of(self.log, self._values["r_s"].value + rig.limits.r_on)
+            except NotFollowingError as error:
+                first = first or error
+                if last:
+                    raise first from None
+            else:
+                pairs = found["pole_pairs"].value
+                if last or max(swing_of(one, rig.name, pairs) for one in turns) <= SWING_MAX:
+                    self._values.update(found)
+                    return ramp
+            self._inertia_ramp = ramp
+        raise AssertionError
+
+    def _turn_fast(self, columns: Sequence[str], speeds: Sequence[float], ramp: float, every: int) -> float:
+        """Rotate the vector with the first of these electrical speeds that the rotor follows; 0: with none [rad/s]."""
+        rig, pairs = self._rig, self._values["pole_pairs"].value
+        for speed in speeds:
+            electrical = min(speed, TURN_RAMP_MAX * ramp)
+            while self._turns(electrical, ramp, every) > rig.limits.turns:
+                electrical *= 0.95
+            recordings = [
+                self._record_rotating("turn_fast", columns, TURN_FAST_SAMPLES, every, direction * electrical, ramp)
+                for direction in (1.0, -1.0)
+            ]
+            if all(shaft_follows(one, rig.name, pairs) for one in recordings):
+                return electrical
+        return 0.0
+
+    def _turns(self, electrical: float, ramp: float, every: int) -> float:
+        """Travel to both sides with which the board lets the vector rotate this fast [revolutions].
+
+        It brakes the vector at a position limit as if it turned a shaft with one pole pair.
+        """
+        pairs = self._values["pole_pairs"].value
+        seconds = TURN_SETTLE + TURN_FAST_SAMPLES * every * TICK + LATENCY
+        braking = 0.5 * electrical**2 / ramp
+        return (braking + (braking + electrical * seconds) / pairs) / (2.0 * math.pi * ROOM_USE)
+
+    def _flux(self, columns: Sequence[str], limit: float, ramp: float, every: int) -> Mapping[str, Estimate]:
+        """Flux from rotating vectors, faster ones if its voltage is not seen, up to a speed `limit` [rad/s]."""
+        speeds = sorted({min(speed, limit) for speed in TURN_FAST}, reverse=True)
+        for faster in (*TURN_FASTER, 0.0):
+            reached = self._turn_fast(columns, speeds, ramp, every)
+            try:
+                found = flux_of(self.log, self._values["l_d"].value, self._values["pole_pairs"].value)
+                if found["psi_m"].value * reached > VISIBLE * self._values["dead_voltage"].value:
+                    return found
+            except NoVoltageError:
+                pass
+            if reached < speeds[0] or speeds[0] >= min(faster, limit):
+                break
+            speeds = [min(faster, limit)]
+        raise self._flux_not_seen(reached, ramp, every)
+
+    def _flux_not_seen(self, reached: float, ramp: float, every: int) -> MeasurementError:
+        """Refusal of a flux that is not seen at a speed [rad/s], with the options for a faster vector, if possible."""
+        limits, maximum = self._rig.limits, self._rig.access.catalogue["param.speed_limit"].maximum
+        electrical = TURN_FASTER[0]
+        wanted = {
+            "--turns-max": (limits.turns, rounded_up(self._turns(electrical, ramp, every))),
+            "--speed-max": (limits.speed, rounded_up(electrical / (TURN_USE * self._values["pole_pairs"].value))),
+        }
+        possible = reached < electrical <= min(TURN_RAMP_MAX * ramp, maximum) and wanted["--speed-max"][1] <= maximum
+        remedy = raised(wanted) if possible else None
+        return MeasurementError(str(NoVoltageError()), *([remedy] if remedy is not None else []), about="flux")
+
     def _check_on_vector(self) -> None:
         along, across = self._values["l_d"], self._values["l_q"]
-        if lies_on_vector(along, across):
+        total = self._values["r_s"].value + self._rig.limits.r_on
+        low = inductance_at_low_current(self.log, total)
+        certain = self.log.notes["comparable"] or along.value > across.value
+        if lies_on_vector(along, across, low if certain else None):
             return
         held, flux = VECTOR * self._current, self._values["psi_m"].value
         largest = SALIENT_USE * current_on_vector(along.value, across.value, held, flux, self._current)
@@ -439,15 +503,11 @@ class MotorTest:
         motor = {
             **{name: self._values[name].value for name in ("l_d", "l_q", "psi_m", "pole_pairs")},
             "r_s": self._values["r_s"].value + rig.limits.r_on,
-            "inertia": torque / 3000.0,
+            "inertia": torque * max(1.0 / 3000.0, SWING_MAX * pairs / self._inertia_ramp),
             "friction": 0.02 * torque,
             "viscous": 0.0,
         }
-        rig.configure_for(rig.fitted(motor, inertia_known=False))
-        rig.mode("TORQUE")
-        rig.write("param.speed_limit", PULSE_SPEED * self._speed_max())
-        rig.command("cmd.i_q", 0.0)
-        rig.search_rotor()
+        self._prepare_pulses(motor)
         inertia, coulomb = self._pulses(motor)
         rig.off()
         rig.access.stage = ""
@@ -466,9 +526,18 @@ class MotorTest:
         self._speeds(limits, inertia, braking if self._coasts else limits["acceleration"])
         rig.off()
 
-    def _pulses(self, motor: Mapping[str, float]) -> tuple[float, float]:
-        """Inertia and Coulomb friction from torque in both directions."""
+    def _prepare_pulses(self, motor: Mapping[str, float]) -> None:
         rig = self._rig
+        rig.configure_for(rig.fitted(motor, inertia_known=False))
+        rig.mode("TORQUE")
+        rig.write("param.speed_limit", PULSE_SPEED * self._speed_max())
+        rig.command("cmd.i_q", 0.0)
+        rig.search_rotor()
+
+    def _pulses(self, motor: Mapping[str, float]) -> tuple[float, float]:
+        """Inertia and Coulomb friction from torque in both directions; `motor` has a guess of the inertia."""
+        rig = self._rig
+        torque_constant = 1.5 * motor["pole_pairs"] * motor["psi_m"]
         travel_max, target = 0.25 * rig.limits.turns * 2.0 * math.pi, 0.25 * self._speed_max()
         # upwards, because a light shaft runs away with the current that a heavy one needs
         part, direction = min(self._friction_current / rig.limits.current + PULSE_FIRST, PULSE), 1.0
@@ -485,6 +554,13 @@ class MotorTest:
             pushing, slowed = abs(rig.value("i_q")), rig.is_limited("SPEED")
             rig.command("cmd.i_q", 0.0)
             refuse_faults(rig.access, rig.axis)
+            largest = torque_constant * current * seconds / max(reached, 1.0)
+            if moved >= MOVED and largest < motor["inertia"] / LIGHT:
+                # with the gains for a heavier shaft the speed limits of the board would make this one oscillate
+                rig.off()
+                motor = {**motor, "inertia": largest / 4}
+                self._prepare_pulses(motor)
+                continue
             braking = current * seconds / (max(reached, 1.0) * BRAKE_TIME)
             self._brake(braking, current)
             direction = -direction  # the shaft remains near the middle of its limits
@@ -610,6 +686,7 @@ class MotorTest:
     ) -> Trace:
         """A recording with a vector rotating at an electrical speed [rad/s], after an acceleration [rad/s^2]."""
         self._rig.write("param.acceleration_limit", ramp / NOMINAL["pole_pairs"])
+        self._rig.reached(self._remains_at_rest, TURN_REST)
         times = abs(electrical) / ramp + TURN_SETTLE, abs(electrical) / ramp + STOPPED
         return self._rig.moving(label, columns, samples, every, electrical / NOMINAL["pole_pairs"], times)
 

@@ -12,6 +12,9 @@ from servo_msgs_py.table_text import aligned
 COVERAGE: Final = 1.96
 """Half the width of a 95 % interval, relative to the standard uncertainty."""
 
+VOLTAGE_USE: Final = 0.6
+"""Largest resistive voltage drop, relative to the voltage."""
+
 UNITS: Final[Mapping[str, str]] = {
     "r_s": "ohm",
     "l_d": "H",

@@ -16,6 +16,10 @@ PAIRS_OFF_MAX: Final = 0.12
 """Largest distance from an integer of the number of pole pairs with a rotor that follows."""
 
 
+class NotFollowingError(MeasurementError):
+    """The shaft does not follow a rotating vector."""
+
+
 @dataclass(frozen=True)
 class VectorFollowing:
     """Rotation of the shaft with a rotating vector."""
@@ -37,7 +41,7 @@ def follow_vector(position: Floats, theta_e: Floats) -> VectorFollowing:
 
     Raises
     ------
-    MeasurementError
+    NotFollowingError
         If the shaft has not followed the vector.
     """
     usable = np.isfinite(position) & np.isfinite(theta_e)
@@ -46,14 +50,14 @@ def follow_vector(position: Floats, theta_e: Floats) -> VectorFollowing:
     (slope, _), covariance, rms = fit_linear(np.column_stack([electrical, np.ones_like(electrical)]), shaft)
     rotation = slope * float(np.ptp(electrical))
     if abs(rotation) < 0.2 * float(np.ptp(electrical)) / 50.0:
-        raise MeasurementError(
+        raise NotFollowingError(
             "the shaft does not follow the rotating vector: it is blocked, the current is too small, or the "
             "encoder is defective"
         )
     measured = 1.0 / abs(slope)
     pairs = round(measured)
     if pairs < 1 or abs(measured - pairs) > PAIRS_OFF_MAX * max(1.0, pairs / 4.0):
-        raise MeasurementError(
+        raise NotFollowingError(
             f"{measured:.2f} electrical revolutions per revolution of the shaft are not an integer: the rotor slips,"
             " the shaft is temporarily blocked, or encoder.lines is wrong"
         )

@@ -81,6 +81,15 @@ def either(entry: str) -> Remedy:
     return Remedy(entry, (RAISE, LOWER))
 
 
+def raised(wanted: Mapping[str, tuple[float, float]]) -> Remedy | None:
+    """Remedy of several entries, all of them necessary: present and wanted value by name; None if all suffice."""
+    remedy: Remedy | None = None
+    for entry, (present, value) in reversed([*wanted.items()]):
+        if value > present:
+            remedy = Remedy(entry, (RAISE,), value, also=remedy)
+    return remedy
+
+
 def exactly(entry: str, value: float) -> Remedy:
     """Remedy: write this value."""
     return Remedy(entry, (EXACT,), value)

@@ -121,7 +121,7 @@ def test_data_that_cannot_be_measured_are_reported(reason: str, voltage: float, 
         elif what == "no motor":
             board.connect_motor(0, False)
         elif what == "stops":
-            board.obstruct_shaft(0, 3.0, 3.0)
+            board.obstruct_shaft(0, 2.0, 2.0)
 
     limits = Limits(voltage, 4.0)
     log, problem = measure_virtual(PlantConfig.load(), 0, limits, servo_table(), level="ideal", seed=1, prepare=prepare)
@@ -447,7 +447,7 @@ def test_a_value_of_zero_is_named_and_asks_for_no_current(tmp_path: Path, monkey
     [
         ({"friction": Estimate(1e-3, 1e-3)}, False, "is too wide"),  # of a version that did not note the runs
         ({"friction": Estimate(0.0, 1e-3)}, True, "is too wide"),
-        ({"friction": Estimate(1e-3, 1e-3)}, True, "--speed-max 87 or more"),
+        ({"friction": Estimate(1e-3, 3.6e-4)}, True, "--speed-max 45 or more"),
         ({"l_q": Estimate(1e-3, 1e-4)}, True, "--current 0.98 or more"),  # inertia and flux are undetermined
     ],
 )

@@ -17,8 +17,8 @@ from servo_measurement import estimation, motor_rig, motor_test
 from servo_measurement.access import FAULT, MeasurementError
 from servo_measurement.dead_time import rounded_down, rounded_up
 from servo_measurement.motor_config import corrected, fitted, tuned_axis
-from servo_measurement.motor_test import VOLTAGE_USE, MotorTest
-from servo_measurement.motor_values import Limits
+from servo_measurement.motor_test import MotorTest
+from servo_measurement.motor_values import VOLTAGE_USE, Limits
 from servo_tuning.errors import ConfigError, Remedy
 from servo_tuning.remedies import with_value
 from servo_twin.board import Board
@@ -40,7 +40,13 @@ SEED: Final = 1
 LIMITS: Final = Limits(24.0, 4.0, r_on=0.03)
 REFUSALS_MAX: Final = 6
 EVERY_CASE: Final = "SERVO_EVERY_CASE"
-LONG_CASES: Final = ((5, 6, "flux", True), (5, 10, "friction", True), (5, 23, "r_s", True))
+LONG_CASES: Final = (
+    (5, 6, "flux", True),
+    (5, 10, "friction", True),
+    (5, 19, "dead time", True),  # its flux is seen with a fast vector only
+    (5, 23, "r_s", True),
+    (5, 24, "tuning", True),  # a heavy rotor, which slips and swings after a short ramp; its search takes too long
+)
 PLAIN_ERRORS: Final[Mapping[str, float]] = {"r_s": 0.1, "l_d": 0.03, "l_q": 0.03, "psi_m": 0.015, "inertia": 0.04}
 """Relative errors of the closed-form estimates, which a refinement would reduce."""
 
@@ -100,11 +106,15 @@ def test_remedies_of_options_are_accepted(changes: dict[str, float], current: fl
         (1, 18, "l_d", True),  # needs a higher voltage, too
         (1, 21, "l_d", True),  # the voltage is not enough for a fast vector
         (1, 30, "dead time", False),  # all phase currents are within the range: no current can be told
+        (1, 0, "dead time", False),  # a light shaft that oscillates under control
+        (5, 3, "flux", False),  # off the vector, although the inductances hardly differ
         (5, 4, "speed limit", True),
+        (5, 7, "psi_m", True),  # reverses at rest without a compensation of the dead time: its encoder counts
         (5, 22, "dead time", False),  # a higher gain of the current controllers trips the over-current protection
         (5, 32, "dead time", False),  # the current for the winding is too large for the reluctance
         (5, 34, "dead time", True),
         (5, 36, "dead time", False),  # the test signal turns the rotor
+        (5, 39, "r_s", True),  # a heavy rotor below a low speed limit
         *(LONG_CASES if EVERY_CASE in os.environ else ()),
     ],
 )
@@ -258,10 +268,10 @@ def test_no_current_is_told_if_there_is_no_response(monkeypatch: pytest.MonkeyPa
     assert str(error).endswith("test signal of 1.1 A: check the connection of all three motor wires")
 
 
-def test_the_speed_that_shows_a_small_flux_and_narrows_its_interval_is_named() -> None:
+def test_one_speed_is_named_that_shows_a_small_flux_and_narrows_its_interval() -> None:
     refused, _ = refusals(PLANT.with_axis(0, psi_m=0.004), dataclasses.replace(LIMITS, speed=8.0))
-    assert [one.about for one in refused] == ["flux", "psi_m"]
-    assert all(one.remedies for one in refused)
+    assert [one.about for one in refused] == ["flux"]
+    assert refused[0].remedies
 
 
 def test_no_speed_is_named_for_a_shaft_that_follows_no_vector(monkeypatch: pytest.MonkeyPatch) -> None:

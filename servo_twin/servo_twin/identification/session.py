@@ -14,13 +14,13 @@ from servo_measurement.dead_time import rounded_up
 from servo_measurement.estimation import BAND, estimates_of, inductance_at_low_current
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_config import SUPPLY_END, fitted, tuned_axis
-from servo_measurement.motor_test import OVERSHOOT, ROOM_USE, VOLTAGE_USE, MotorTest
-from servo_measurement.motor_values import UNITS, Limits, MotorEstimates
+from servo_measurement.motor_test import OVERSHOOT, ROOM_USE, MotorTest
+from servo_measurement.motor_values import UNITS, VOLTAGE_USE, Limits, MotorEstimates
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.table_text import aligned
-from servo_tuning.errors import ConfigError, Problem, Remedy, Table, higher
+from servo_tuning.errors import ConfigError, Problem, Remedy, Table, raised
 from servo_tuning.motor import Motor
 from servo_tuning.remedies import explained
 
@@ -45,6 +45,9 @@ NEEDED: Final[Mapping[str, float]] = {
 
 OF_CURRENT: Final = ("r_s", "l_d", "l_q")
 """Values whose interval is inversely proportional to the current; that of the others to the speed."""
+
+WITH_SPEED: Final[Mapping[str, float]] = {"friction": 2.0}
+"""Exponent of the part of an interval in the speed that it needs; of the other values 1."""
 
 MARGIN: Final = 1.25
 """Margin of a current or a speed that is enough for an interval."""
@@ -168,6 +171,8 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> Iterator[Pr
     # infinite: a value of 0, which is named below
     needed = max((wide[name] for name in OF_CURRENT if name in wide and math.isfinite(wide[name])), default=0.0)
     more_current = _more_current(log, estimates, needed) if needed > 1.0 else None
+    slow = {name: part ** WITH_SPEED.get(name, 1.0) for name, part in wide.items() if name not in OF_CURRENT}
+    fastest = max((part for part in slow.values() if math.isfinite(part)), default=0.0)
     for name, part in NEEDED.items():
         if name not in values:
             if name not in estimates.undetermined:
@@ -191,7 +196,7 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> Iterator[Pr
             if name not in OF_CURRENT and not ("runs" in log.notes and math.isfinite(wide[name])):
                 yield Problem(fact, name)  # of an earlier version, or a value of 0: no speed can be told
                 continue
-            remedy = more_current if name in OF_CURRENT else _more_speed(log, estimates, wide[name])
+            remedy = more_current if name in OF_CURRENT else _more_speed(log, estimates, fastest)
             if remedy is None:
                 what = "a current, or a voltage for it," if name in OF_CURRENT else "a speed, or a voltage for it,"
                 yield Problem(f"{fact}; it needs {what} beyond the board", name)
@@ -216,10 +221,7 @@ def _more_current(log: MeasurementLog, estimates: MotorEstimates, factor: float)
     needed = float(math.ceil(current * (estimates["r_s"] + limits.r_on) * math.sqrt(3.0) / VOLTAGE_USE))
     if current > catalogue["param.i_q_limit"].maximum or needed > SUPPLY_END:
         return None
-    changes = {"--current": current}
-    if needed > limits.voltage:
-        changes = {"--voltage": needed, **changes}
-    return _options(changes)
+    return raised({"--voltage": (limits.voltage, needed), "--current": (0.0, current)})
 
 
 def _more_speed(log: MeasurementLog, estimates: MotorEstimates, factor: float) -> Remedy | None:
@@ -238,15 +240,7 @@ def _more_speed(log: MeasurementLog, estimates: MotorEstimates, factor: float) -
         "--turns-max": (limits.turns, rounded_up(turns)),
         "--speed-max": (limits.speed, rounded_up(OVERSHOOT * speed)),
     }
-    return _options({option: value for option, (given, value) in wanted.items() if value > given})
-
-
-def _options(changes: Mapping[str, float]) -> Remedy | None:
-    """Remedy of several options, all of them necessary."""
-    remedy: Remedy | None = None
-    for option, value in reversed([*changes.items()]):
-        remedy = dataclasses.replace(higher(option, value), also=remedy)
-    return remedy
+    return raised(wanted)
 
 
 def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[Problem]:
@@ -260,7 +254,7 @@ def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[Problem]:
         return []
     half = inductance_at_low_current(log, first["r_s"] + float(log.notes["limits"]["r_on"]))
     full = first.values["l_d"]
-    if half is None or abs(half.value / full.value - 1.0) < SATURATED + math.hypot(half.part, full.part):
+    if half is None or half.value / full.value - 1.0 < SATURATED + math.hypot(half.part, full.part):
         return []
     less, more = (log.notes["bias"][name] for name in ("l_d_low", "l_d"))
     text = (
