@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,10 @@ from typing import Any
 import pytest
 from chain import FAST_BAUD, Chain
 from interface_build import action_environment
+from rclpy.serialization import deserialize_message
+from servo_msgs_py.run_file.reader import RunReader
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
@@ -27,10 +32,12 @@ class Answers:
         The client; every step has a time-out.
     errors : Path
         Its standard error.
+    recording : Path
+        Of the bridge.
     """
 
-    def __init__(self, process: subprocess.Popen[str], errors: Path) -> None:
-        self._process, self._errors = process, errors
+    def __init__(self, process: subprocess.Popen[str], errors: Path, recording: Path) -> None:
+        self._process, self._errors, self.recording = process, errors, recording
         self._found: dict[str, dict[str, Any]] = {}
 
     def __getitem__(self, case: str) -> dict[str, Any]:
@@ -50,7 +57,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
     chain = Chain(folder, FAST_BAUD, action_environment(), "ideal")
     try:
         chain.board()
-        chain.bridge()
+        chain.bridge(run_file=str(folder / "run.mcap"))
         with (
             (folder / "errors").open("w") as errors,
             subprocess.Popen(
@@ -58,7 +65,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
             ) as client,
         ):
             try:
-                yield Answers(client, folder / "errors")
+                yield Answers(client, folder / "errors", folder / "run.mcap")
             finally:
                 client.kill()
     finally:
@@ -122,3 +129,26 @@ def test_cancelled_future_goal_leaves_the_active_goal_running(answers: Answers) 
 
 def test_goal_starts_at_its_future_stamp(answers: Answers) -> None:
     assert answers["future_stamp"]["lasted"] > 1.4
+
+
+def test_goals_and_their_results_are_recorded(answers: Answers) -> None:
+    """The trajectory as it arrived, and the call with its tolerances, by the id of the goal."""
+    deadline = time.monotonic() + 60.0
+    trajectory, request, response = None, None, None
+    assert answers["succeeds"]["status"] == "SUCCEEDED"
+    while trajectory is None or response is None:
+        assert time.monotonic() < deadline, (trajectory, request, response)
+        time.sleep(0.5)  # a recording is written once a second
+        records = list(RunReader(answers.recording).records(["/servo/follow_joint_trajectory/goals", "/servo/calls"]))
+        goals = [one.data for one in records if one.topic.endswith("goals")]
+        trajectory = deserialize_message(goals[0], JointTrajectory) if goals else None
+        calls = [json.loads(deserialize_message(one.data, String).data) for one in records if one.data not in goals]
+        calls = [call for call in calls if call["service"] == "/servo/follow_joint_trajectory"]
+        request = next((call["request"] for call in calls if "request" in call), None)
+        ids = [] if request is None else [request["goal_id"]]
+        response = next((c["response"] for c in calls if "response" in c and c["response"]["goal_id"] in ids), None)
+    assert request is not None
+    assert trajectory.joint_names == ["axis1", "axis2"]
+    assert trajectory.points[-1].positions
+    assert request["goal_tolerance"] == []
+    assert response["result"]["error_code"] == 0

@@ -201,7 +201,7 @@ class Assembly:
         self._entities = [
             SetPointTopics(self.commands),
             TrajectoryTopic(self.commands, self.goals, answers, settings.goal_defaults, self._warn),
-            self._follow_action(watch),
+            self._follow_action(watch, tap),
             DeferredService(node, SetBool, topics.ENABLE, lambda request: self.motion.enable(request.data)),
             DeferredService(node, Trigger, topics.QUICK_STOP, lambda _: self.motion.quick_stop()),
             DeferredService(node, Trigger, topics.CLEAR_FAULTS, lambda _: self.motion.clear_faults()),
@@ -294,7 +294,7 @@ class Assembly:
         name = topics.home_service(self._joints[axis], method)
         return DeferredService(self._node, Trigger, name, lambda _: self.homing.home(axis, method))
 
-    def _follow_action(self, watch: CallbackWatch) -> FollowAction | None:
+    def _follow_action(self, watch: CallbackWatch, tap: MessageTap) -> FollowAction | None:
         interfaces = action_interfaces()
         if interfaces is None:
             self._info(
@@ -302,7 +302,7 @@ class Assembly:
                 "with ros-jazzy-control-msgs)"
             )
             return None
-        return FollowAction(self.commands, interfaces, self.goals, self.settings.goal_defaults, watch)
+        return FollowAction(self.commands, interfaces, self.goals, self.settings.goal_defaults, watch, tap)
 
     # ---- connections between parts
     def _send(self, write: CommandWrite) -> None:

@@ -6,19 +6,23 @@ import importlib
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse
+from rclpy.serialization import serialize_message
 from servo_msgs_py.convert import to_stamp
 from servo_msgs_py.joints import Joint
-from trajectory_msgs.msg import JointTrajectoryPoint
+from servo_msgs_py.run_file.topic import Topic, type_of
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from servo_bridge.callback_watch import CallbackWatch
 from servo_bridge.command_context import CommandContext
 from servo_bridge.goals import Goals
 from servo_bridge.raw_goal import with_raw_trajectories
+from servo_bridge.runs.message_tap import MessageTap
 from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.goal import PREEMPTED, Goal, GoalDefaults
@@ -137,6 +141,8 @@ class FollowAction:
         Default tolerances.
     watch : CallbackWatch
         Measures the callbacks.
+    tap : MessageTap
+        Receives goals and results, for recordings.
     """
 
     def __init__(
@@ -146,8 +152,12 @@ class FollowAction:
         goals: Goals,
         defaults: GoalDefaults,
         watch: CallbackWatch,
+        tap: MessageTap,
     ) -> None:
         self._node = context.node
+        name = self._node.resolve_topic_name(_SOURCE)
+        self._called = tap.of_service(name, self._node.get_namespace())
+        self._trajectory_seen = partial(tap.add, Topic(f"{name}/{topics.GOALS}", type_of(JointTrajectory)))
         self._gears = {joint.name: joint for joint in context.arbiter.joints}
         self._type: Any = interfaces.FollowJointTrajectory
         self._goals = goals
@@ -176,7 +186,9 @@ class FollowAction:
                 handle.succeed()
             else:
                 handle.abort()
-            return self._type.Result(error_code=int(goal.outcome.code), error_string=goal.outcome.text)
+            result = self._type.Result(error_code=int(goal.outcome.code), error_string=goal.outcome.text)
+            self._called({"goal_id": _name(handle), "result": result}, "response")
+            return result
 
         if handle in self._running:
             self._running.remove(handle)
@@ -186,6 +198,9 @@ class FollowAction:
         handle.execute()
         request = handle.request
         data = self._trajectories.pop(bytes(handle.goal_id.uuid), None)
+        self._trajectory_seen(serialize_message(request.trajectory) if data is None else data)
+        others = {name: getattr(request, name) for name in request.get_fields_and_field_types() if name != "trajectory"}
+        self._called({"goal_id": _name(handle), **others}, "request")
         joints = self._goals.joints_of(request.trajectory.joint_names)
         goal = Goal(joints, {}, {}, 0.0)
         try:
@@ -212,6 +227,11 @@ class FollowAction:
         path = tolerances_from(request.path_tolerance, joints, self._defaults.path)
         goal = tolerances_from(request.goal_tolerance, joints, self._defaults.goal)
         return Goal(joints, path, goal, goal_time)
+
+
+def _name(handle: Any) -> str:
+    """Identification of a goal, in hexadecimal digits."""
+    return bytes(handle.goal_id.uuid).hex()
 
 
 def _point(state: State) -> JointTrajectoryPoint:

@@ -140,7 +140,7 @@ class ServoBridge(LifecycleNode):
 
         timed = self.watch.timed(f"service {srv_name}", called)
         service = super().create_service(srv_type, srv_name, timed, *arguments, **options)
-        seen, send = self.tap.of_service(service, self.get_namespace()), service.send_response
+        seen, send = self.tap.of_service(service.service_name, self.get_namespace()), service.send_response
         setattr(service, "send_response", answered)  # noqa: B010, rclpy looks it up at every call
         return service
 

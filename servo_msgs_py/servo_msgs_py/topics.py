@@ -39,8 +39,10 @@ RUN_INFO: Final = "run_info"
 RUN_LOST: Final = "run_lost"
 """std_msgs/UInt64, in recordings only: number of messages that the recorder has lost."""
 CALLS: Final = "calls"
-"""std_msgs/String, in recordings only: a call of a service that changes something, or its response, as a JSON document
-with the name of the service and the members of ``request`` or ``response``."""
+"""std_msgs/String, in recordings only: a call of a service that changes something, or of the action, or its response,
+as a JSON document with the name of the service and the members of ``request`` or ``response``."""
+GOALS: Final = "goals"
+"""trajectory_msgs/JointTrajectory, in recordings only, below the name of the action: the trajectory of each goal."""
 WINDING_TEMPERATURES: Final = "winding_temperatures"
 """std_msgs/Float64MultiArray, latched, once a second: estimated winding temperatures of both motors [deg C]."""
 STATE: Final = "state"

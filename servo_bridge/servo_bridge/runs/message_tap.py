@@ -53,13 +53,13 @@ class MessageTap:
 
         return seen
 
-    def of_service(self, service: Any, namespace: str) -> Callable[[Any, str], None]:
-        """Function to be called with every request and response of a service, and which of both it is.
+    def of_service(self, name: str, namespace: str) -> Callable[[Any, str], None]:
+        """Function to be called with every request and response of a service or action, and which of both it is.
 
         Parameters
         ----------
-        service : Service
-            Of rclpy.
+        name : str
+            Of the service, absolute.
         namespace : str
             Of the topic `topics.CALLS`.
         """
@@ -67,16 +67,23 @@ class MessageTap:
 
         def seen(message: Any, kind: str) -> None:
             if self.receiver is not None:
-                text = json.dumps({"service": service.service_name, kind: _plain(message)})
+                text = json.dumps({"service": name, kind: _plain(message)})
                 self.receiver(topic, serialize_message(String(data=text)), time.time_ns())
 
         return seen
+
+    def add(self, topic: Topic, data: bytes) -> None:
+        """Pass a serialised message that is on no topic of the node."""
+        if self.receiver is not None:
+            self.receiver(topic, data, time.time_ns())
 
 
 def _plain(value: Any) -> Any:
     """A message, or a value in one, as JSON has it."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
     if isinstance(value, (list, array)):
         return [_plain(each) for each in value]
     return value if isinstance(value, (str, int, float)) else str(value)
