@@ -92,15 +92,15 @@ class _Element:
 
 
 def _elements(board: Board) -> Iterator[_Element]:
-    """Set-points that are inputs, parameters of the firmware, then the variables of the snapshot."""
+    """Set-points that are inputs, parameters of the firmware, then the snapshot and the results of homing."""
     catalogue = board.catalogue
     inputs = [catalogue[_TIMEOUT], *(catalogue[f"cmd.{name}"] for name in _WRITTEN)]
     tunable = [variable for variable in parameters(catalogue) if variable.name != _TIMEOUT]
-    snapshot = catalogue.snapshot_variables()
+    outputs = [*catalogue.snapshot_variables(), *(catalogue[f"{axis_name(k)}.home_result"] for k in range(AXES))]
     for variable, causality in [
         *((one, "input") for one in inputs),
         *((one, "parameter") for one in tunable),
-        *((one, "output") for one in snapshot),
+        *((one, "output") for one in outputs),
     ]:
         address = board.address(variable.name)
         words = board.read_words(variable.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import pickle
 import re
 import subprocess
@@ -25,7 +26,7 @@ from mujoco import rollout
 PLANT: Final = PlantConfig.load()
 GEAR: Final = 100.0
 PATH_DELAY: Final = 12  # steps of 0.5 ms
-SENSORS: Final = "axis1.state axis1.substate axis1.faults axis2.speed truth.axis2.torque_e u_dc"
+SENSORS: Final = "axis1.state axis1.substate axis1.faults axis1.home_state axis2.speed truth.axis2.torque_e u_dc"
 STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 SEARCHED: Final = 2600  # steps until both rotors are found
 
@@ -242,6 +243,59 @@ def test_jump_of_a_joint_is_named_and_the_simulation_goes_on(moving: tuple[Any, 
     assert np.isfinite(data.qpos).all()
 
 
+@pytest.mark.parametrize("mode", ["POSITION", "SPEED", "TRAJECTORY"])
+def test_axis_homes_at_the_end_stop_of_its_joint(mode: str, warnings: list[str]) -> None:
+    limited = arm(f"shoulder {mode}", config='<config key="axis1.home" value="STOP_NEGATIVE"/>').replace(
+        '<joint name="shoulder" ', '<joint name="shoulder" range="-15 180" '
+    )
+    model = mujoco.MjModel.from_xml_string(limited)
+    model.opt.gravity[:] = 0.0
+    data = mujoco.MjData(model)
+    run(model, data, 16000)
+    enums = Catalogue.load().enums
+    assert board(data)["axis1.home_state"] == enums["home_state_t"]["KNOWN"]
+    target = 30.0
+    began = data.time
+
+    def smoothly(time: float) -> list[float]:
+        return [3.0 if mode == "SPEED" else 0.5 * target * (1.0 - math.cos(math.pi * min(1.0, time - began))), 0.0]
+
+    run(model, data, 3000, smoothly)
+    if mode == "SPEED":
+        assert data.qvel[0] * GEAR == pytest.approx(3.0, abs=1.0)
+    else:
+        assert data.qpos[0] * GEAR == pytest.approx(target, abs=0.1)
+    assert board(data)["axis1.faults"] == 0.0
+    assert not warnings
+
+
+def test_faults_and_supply_change_during_the_run_and_belong_to_the_state(warnings: list[str]) -> None:
+    text = arm(config='<config key="inputs" value="axis1.fault.open_phase_b supply.u_source"/>').replace(
+        "<extension>", '<size nuserdata="3"/><extension>'
+    )
+    text = text.replace('key="inputs"', 'key="userdata" value="1"/><config key="inputs"')
+    model, data = started(text)
+    data.userdata[2] = 3.0
+    run(model, data, 400)
+    assert board(data)["u_dc"] == pytest.approx(PLANT.bus.u_source + 3.0, abs=0.5)
+    data.userdata[1] = 1.0
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
+    run(model, data, 1200, lambda _: [30.0, 0.0])
+    assert board(data)["axis1.faults"] != 0.0
+    end = bits(data)
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state, STATE)
+    run(model, data, 1200, lambda _: [30.0, 0.0])
+    assert bits(data) == end
+    data.userdata[2] = np.nan
+    mujoco.mj_step(model, data)
+    assert "userdata 2, supply.u_source: the value is not a number" in warnings[-1]
+    mujoco.mj_resetData(model, data)
+    run(model, data, 400)
+    assert board(data)["u_dc"] == pytest.approx(PLANT.bus.u_source, abs=0.5)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -261,9 +315,14 @@ def test_jump_of_a_joint_is_named_and_the_simulation_goes_on(moving: tuple[Any, 
         ),
         (arm(step=0.0003), "'timestep': not a multiple of a PWM period"),
         (arm("shoulder TRAJECTORY", step=0.0000625), "'timestep': in mode TRAJECTORY a multiple of a slow tick"),
-        (arm().replace("u_dc", "u_dcc"), "'u_dcc': sensors: the board has no such quantity"),
+        (arm().replace("u_dc", "u_dcc"), "'u_dcc': the board has no such quantity"),
         (arm(config='<config key="plant.axis1.r_s" value="-1"/>'), "'plant.axis1.r_s': is outside of its range"),
         (arm(config='<config key="plant.axis1.r_s" value="1 ohm"/>'), "'plant.axis1.r_s': not a number"),
+        (arm(config='<config key="axis1.home" value="STOP"/>'), "'axis1.home': no method of homing"),
+        (arm(config='<config key="inputs" value="plant.axis1.r_s"/>'), "inputs: does not change during the run"),
+        (arm(config='<config key="inputs" value="axis1.speed"/>'), "inputs: does not change during the run"),
+        (arm(config='<config key="inputs" value="supply.u_source"/>'), 'write <size nuserdata="1"/>'),
+        (arm(config='<config key="userdata" value="-1"/>'), "'userdata': not the index"),
         (arm(config='<config key="plant.axis1.brake_torque" value="1"/>'), "'shoulder': the holding brake"),
         (arm(config='<config key="plant.axis3.r_s" value="1"/>'), "unrecognized attribute"),
         (arm().replace(f'armature="{PLANT.axes[0].inertia * GEAR**2}"', ""), 'write armature="0.08"'),

@@ -104,17 +104,46 @@ static void approach(const drive_t *drive, coupled_axis_t *of, double signal, ex
     }
 }
 
+/* True while the axis homes: a set-point would end that. */
+static bool homes(exported_t *board, const drive_t *drive, coupled_axis_t *of)
+{
+    const double result = exported_number(board, drive->home_result);
+    if (drive->home == HOME_METHOD_NONE || of->homing == HOMING_ENDED) {
+        return false;
+    }
+    if (of->homing == HOMING_WAITS) {
+        warn(exported_set(board, drive->home_command, drive->home));
+        of->homing = HOMING_RUNS;
+    } else if (result != HOME_RESULT_NONE && result != HOME_RESULT_RUNNING) {
+        of->homing = HOMING_ENDED;
+        of->zero = NAN; /* the position has changed */
+        if (result != HOME_RESULT_DONE) {
+            mju_warning(PLUGIN_NAME ": actuator %d: the firmware has not homed the axis (home_result %g)",
+                        drive->actuator, result);
+        }
+        if (drive->mode != CONTROL_MODE_TRAJECTORY) {
+            warn(exported_set(board, drive->mode_command, drive->mode));
+        }
+    }
+    return of->homing != HOMING_ENDED;
+}
+
 void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,
                    coupled_axis_t *of)
 {
     const double state = exported_number(board, drive->state);
     if (state == STATE_STOP && exported_number(board, drive->enable) != 1.0) {
         (void)exported_set(board, drive->mode_command,
-                           (drive->mode == CONTROL_MODE_TRAJECTORY) ? CONTROL_MODE_POSITION : drive->mode);
+                           (drive->mode == CONTROL_MODE_TRAJECTORY || drive->home != HOME_METHOD_NONE)
+                               ? CONTROL_MODE_POSITION
+                               : drive->mode);
         (void)exported_set(board, drive->enable, 1.0);
     }
     if (state != STATE_RUN || exported_number(board, drive->substate) != SUBSTATE_SPIN) {
         of->path = PATH_NONE;
+        return;
+    }
+    if (homes(board, drive, of)) {
         return;
     }
     double signal = signal_of(m, d, drive->actuator);

@@ -3,6 +3,7 @@
 #define MUJOCO_DRIVES_H
 
 #include <mujoco/mujoco.h>
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "config/contract_gen.h"
@@ -14,7 +15,9 @@
 typedef struct {
     int actuator; /* -1: none */
     control_mode_t mode;
+    home_method_t home; /* after the rotor search */
     uint32_t state, substate, position, enable, mode_command, set_point, pole_pairs; /* value references */
+    uint32_t home_command, home_result;
     uint32_t tick, point_refusal; /* of the board */
 } drive_t;
 
@@ -24,10 +27,17 @@ enum {
     PATH_RUNS
 };
 
+enum {
+    HOMING_WAITS, /* for the rotor */
+    HOMING_RUNS,
+    HOMING_ENDED
+};
+
 /* State of a drive. */
 typedef struct {
     double torque; /* mean of the last step [N m] */
     double zero; /* control signal minus set-point of the firmware, for angles [rad]; NaN: not in RUN/SPIN yet */
+    uint64_t homing; /* HOMING_* */
     uint64_t path; /* PATH_*: the control signal is sent as points */
     double last, before; /* control signal one point ago, and two */
 } coupled_axis_t;
@@ -35,7 +45,7 @@ typedef struct {
 /* Angle [rad] and speed [rad/s] of the motor of an actuator. */
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega);
 
-/* Enable the axis, wait until its rotor is found, then give it the control signal. */
+/* Enable the axis, wait until its rotor is found, home it, then give it the control signal. */
 void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,
                    coupled_axis_t *of);
 

@@ -18,6 +18,16 @@ static const char *const set_points[] = {[CONTROL_MODE_POSITION] = "cmd.position
                                          [CONTROL_MODE_TORQUE] = "cmd.i_q",
                                          [CONTROL_MODE_TRAJECTORY] = "cmd.position"};
 
+static const char *const method_names[] = {
+    [HOME_METHOD_HERE] = "HERE",
+    [HOME_METHOD_ASSUME] = "ASSUME",
+    [HOME_METHOD_STOP_POSITIVE] = "STOP_POSITIVE",
+    [HOME_METHOD_STOP_NEGATIVE] = "STOP_NEGATIVE",
+    [HOME_METHOD_SWITCH_POSITIVE] = "SWITCH_POSITIVE",
+    [HOME_METHOD_SWITCH_NEGATIVE] = "SWITCH_NEGATIVE",
+};
+
+#define METHODS (sizeof method_names / sizeof method_names[0])
 #define MODES (sizeof mode_names / sizeof mode_names[0])
 
 /* Value reference of a quantity of an axis that every board has. */
@@ -97,6 +107,22 @@ static const char *take_drive(const mjModel *m, int instance, drive_t *drive, co
                : refuse_drive(m, instance, drive->actuator);
 }
 
+/* Homing of an axis after its rotor search. */
+static const char *take_home(const mjModel *m, int instance, drive_t *drive, const char *key, const char **where)
+{
+    const char *text = config(m, instance, key);
+    drive->home = HOME_METHOD_NONE;
+    for (size_t k = 0; k < METHODS; k++) {
+        if (method_names[k] != NULL && strcmp(text, method_names[k]) == 0) {
+            drive->home = (home_method_t)k;
+        }
+    }
+    *where = key;
+    return (text[0] != '\0' && (drive->home == HOME_METHOD_NONE || drive->actuator < 0))
+               ? "no method of homing: HERE, ASSUME, STOP_POSITIVE, STOP_NEGATIVE, SWITCH_POSITIVE, SWITCH_NEGATIVE; or the axis has no actuator"
+               : NULL;
+}
+
 /* Axes of the actuators: by the attributes axis1 and axis2, without them in the order of the model. */
 static const char *take_drives(const mjModel *m, int instance, model_t *model, const char **where)
 {
@@ -135,26 +161,62 @@ static const char *take_drives(const mjModel *m, int instance, model_t *model, c
                                                                   : NULL;
 }
 
-/* Names of outputs, separated by blanks. */
-const char *model_take_sensors(const mjModel *m, int instance, model_t *model, const char **where)
+/* NULL, or what is wrong with a name that is then at *where. */
+static const char *take_names(const char *text, names_t *names, const char **where)
 {
     static const char blanks[] = " \t\r\n";
-    (void)snprintf(model->names, sizeof model->names, "%s", config(m, instance, "sensors"));
-    model->sensors = 0;
-    char *name = model->names + strspn(model->names, blanks);
+    (void)snprintf(names->text, sizeof names->text, "%s", text);
+    names->count = 0;
+    char *name = names->text + strspn(names->text, blanks);
     while (*name != '\0') {
         char *end = name + strcspn(name, blanks);
         char *next = end + strspn(end, blanks);
         *end = '\0';
         const exported_variable_t *one = exported_variable(name);
         *where = name;
-        if (one == NULL || model->sensors == SENSORS_MAX) {
-            return (one == NULL) ? "sensors: the board has no such quantity" : "sensors: more than 64 quantities";
+        if (one == NULL || names->count == NAMES_MAX) {
+            return (one == NULL) ? "the board has no such quantity" : "more than 64 quantities";
         }
-        model->sensor[model->sensors++] = one->reference;
+        names->variable[names->count++] = one;
         name = next;
     }
     return NULL;
+}
+
+const char *model_take_sensors(const mjModel *m, int instance, names_t *sensors, const char **where)
+{
+    return take_names(config(m, instance, "sensors"), sensors, where);
+}
+
+/* Quantities that change during the run. */
+static const char *take_inputs(const mjModel *m, int instance, model_t *model, const exported_t *board,
+                               const char **where)
+{
+    const char *problem = take_names(config(m, instance, "inputs"), &model->inputs, where);
+    const char *first = config(m, instance, "userdata");
+    char *end;
+    const long index = strtol(first, &end, 10);
+    if (problem == NULL && (*end != '\0' || index < 0 || index > INT32_MAX)) {
+        *where = "userdata";
+        return "not the index of an entry of mjData.userdata";
+    }
+    model->userdata = (int)index;
+    for (int i = 0; problem == NULL && i < model->inputs.count; i++) {
+        const exported_variable_t *one = model->inputs.variable[i];
+        *where = one->name;
+        if (!model_configurable(one) || one->reference >= EXPORTED_PLANT * EXPORTED_BLOCK) {
+            return "inputs: does not change during the run";
+        }
+        if (index + i >= m->nuserdata) {
+            *where = "inputs";
+            (void)snprintf(model->text, sizeof model->text,
+                           "mjData.userdata is too short; write <size nuserdata=\"%ld\"/>",
+                           index + model->inputs.count);
+            return model->text;
+        }
+        model->start[i] = exported_number(board, one->reference);
+    }
+    return problem;
 }
 
 const char *model_configure(const mjModel *m, int instance, exported_t *board, const char **where)
@@ -212,13 +274,19 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
     }
     const char *problem = take_drives(m, instance, model, where);
     for (int axis = 0; problem == NULL && axis < AXES; axis++) {
+        static const char *const keys[AXES] = {"axis1.home", "axis2.home"};
+        problem = take_home(m, instance, &model->drive[axis], keys[axis], where);
+        if (problem != NULL) {
+            break;
+        }
         *where = "timestep";
         if (model->drive[axis].mode == CONTROL_MODE_TRAJECTORY && step_ns % TICK_NS != 0) {
             problem = "in mode TRAJECTORY a multiple of a slow tick; write for example <option timestep=\"0.0005\"/>";
         }
     }
-    problem = (problem == NULL) ? model_take_sensors(m, instance, model, where) : problem;
+    problem = (problem == NULL) ? model_take_sensors(m, instance, &model->sensors, where) : problem;
     problem = (problem == NULL) ? model_configure(m, instance, board, where) : problem;
+    problem = (problem == NULL) ? take_inputs(m, instance, model, board, where) : problem;
     for (int axis = 0; axis < AXES; axis++) {
         drive_t *drive = &model->drive[axis];
         if (problem == NULL && drive->actuator >= 0) {
@@ -230,6 +298,8 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
         drive->position = of_axis(axis, "position");
         drive->enable = of_axis(axis, "cmd.enable");
         drive->mode_command = of_axis(axis, "cmd.mode");
+        drive->home_command = of_axis(axis, "cmd.home");
+        drive->home_result = of_axis(axis, "home_result");
         drive->set_point = of_axis(axis, set_points[drive->mode]);
         drive->pole_pairs = of_plant(axis, "pole_pairs");
         drive->tick = exported_variable("tick")->reference;

@@ -220,6 +220,22 @@ static void start(const mjModel *m, const mjData *d, int instance, const instanc
     }
 }
 
+/* Faults, supply and parameters that change during the run. */
+static void give_inputs(const mjData *d, exported_t *board, const model_t *model)
+{
+    for (int i = 0; i < model->inputs.count; i++) {
+        const uint32_t reference = model->inputs.variable[i]->reference;
+        const double value = model->start[i] + d->userdata[model->userdata + i];
+        const exported_result_t result = (value != exported_number(board, reference))
+                                             ? exported_set(board, reference, value)
+                                             : (exported_result_t){EXPORTED_DONE};
+        if (result.status != EXPORTED_DONE) {
+            mju_warning(PLUGIN_NAME ": userdata %d, %s: %s", model->userdata + i, model->inputs.variable[i]->name,
+                        result.what);
+        }
+    }
+}
+
 static void plugin_advance(const mjModel *m, mjData *d, int instance)
 {
     const instance_t *own = instance_of(d, instance);
@@ -235,6 +251,7 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
         start(m, d, instance, own);
     }
     board_t *board = exported_board(exported);
+    give_inputs(d, exported, &own->model);
     drive_follow(m, d, own->model.drive, head.axis, exported, step_ns); /* before: the mode of a path takes a step */
     for (int axis = 0; axis < AXES; axis++) {
         const drive_t *drive = &own->model.drive[axis];
@@ -276,26 +293,27 @@ static void plugin_compute(const mjModel *m, mjData *d, int instance, int capabi
     }
     const exported_t *board = restored(m, d, instance);
     for (int k = 0; k < (int)m->nsensor; k++) {
-        for (int i = 0; m->sensor_plugin[k] == instance && i < own->model.sensors; i++) {
-            d->sensordata[m->sensor_adr[k] + i] = exported_number(board, own->model.sensor[i]);
+        for (int i = 0; m->sensor_plugin[k] == instance && i < own->model.sensors.count; i++) {
+            d->sensordata[m->sensor_adr[k] + i] = exported_number(board, own->model.sensors.variable[i]->reference);
         }
     }
 }
 
 static int plugin_nsensordata(const mjModel *m, int instance, int sensor)
 {
-    model_t model;
+    names_t sensors;
     const char *where;
     (void)sensor;
-    return (model_take_sensors(m, instance, &model, &where) == NULL) ? model.sensors : 0;
+    return (model_take_sensors(m, instance, &sensors, &where) == NULL) ? sensors.count : 0;
 }
 
 mjPLUGIN_LIB_INIT(servo_board)
 {
-    static const char *attributes[4 * EXPORTED_BLOCK] = {"axis1", "axis2", "sensors"};
+    static const char *attributes[4 * EXPORTED_BLOCK] = {"axis1",   "axis2",  "axis1.home", "axis2.home",
+                                                         "sensors", "inputs", "userdata"};
     size_t n;
     const exported_variable_t *variables = exported_variables(&n);
-    int count = 3;
+    int count = 7;
     for (size_t k = 0; k < n; k++) {
         if (model_configurable(&variables[k])) {
             attributes[count++] = variables[k].name;
