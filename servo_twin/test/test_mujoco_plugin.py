@@ -243,6 +243,14 @@ def test_jump_of_a_joint_is_named_and_the_simulation_goes_on(moving: tuple[Any, 
     assert np.isfinite(data.qpos).all()
 
 
+def test_two_motors_of_a_board_turn_one_joint() -> None:
+    text = arm().replace('joint="elbow"', 'joint="shoulder"').replace('armature="0.08"', 'armature="0.2"')
+    model, data = started(text)
+    run(model, data, 3000, lambda _: [20.0, 20.0])
+    assert data.qpos[0] * GEAR == pytest.approx(20.0, abs=0.5)
+    assert board(data)["axis1.faults"] == 0.0
+
+
 @pytest.mark.parametrize("mode", ["POSITION", "SPEED", "TRAJECTORY"])
 def test_axis_homes_at_the_end_stop_of_its_joint(mode: str, warnings: list[str]) -> None:
     limited = arm(f"shoulder {mode}", config='<config key="axis1.home" value="STOP_NEGATIVE"/>').replace(
@@ -303,7 +311,7 @@ def test_faults_and_supply_change_during_the_run_and_belong_to_the_state(warning
         (arm(axis1="shoulder PATH"), "'axis1': no actuator has this name"),
         (arm(axis2="shoulder"), "two axes"),
         (arm(axis2=""), "a board has two axes"),
-        (arm().replace('joint="elbow"', 'joint="shoulder"'), "two axes of boards are at one joint"),
+        (arm().replace('joint="elbow"', 'joint="shoulder"'), 'inertia of its rotors; write armature="0.2"'),
         (
             arm(axis2="")
             .replace("</plugin></extension>", '<instance name="other"/></plugin></extension>')
@@ -311,7 +319,7 @@ def test_faults_and_supply_change_during_the_run_and_belong_to_the_state(warning
                 'joint="elbow" gear="100.0" plugin="servo.board" instance="board"',
                 'joint="shoulder" plugin="servo.board" instance="other"',
             ),
-            "two axes of boards are at one joint",
+            "another board drives its joint",
         ),
         (arm(step=0.0003), "'timestep': not a multiple of a PWM period"),
         (arm("shoulder TRAJECTORY", step=0.0000625), "'timestep': in mode TRAJECTORY a multiple of a slow tick"),

@@ -59,13 +59,13 @@ static const char *config(const mjModel *m, int instance, const char *name)
     return (text != NULL) ? text : "";
 }
 
-/* A joint has one motor: two rotors would need two torques and twice the inertia. */
-static bool shares_joint(const mjModel *m, int actuator)
+/* True if a board that this one does not know of is at the joint of an actuator. */
+static bool another_board(const mjModel *m, int instance, int actuator)
 {
     for (int k = 0; k < (int)m->nu; k++) {
-        if (k != actuator && m->actuator_plugin[k] >= 0 && m->actuator_trntype[k] == mjTRN_JOINT &&
-            m->plugin[m->actuator_plugin[k]] == m->plugin[m->actuator_plugin[actuator]] &&
-            m->actuator_trnid[2 * k] == m->actuator_trnid[2 * actuator]) {
+        const int other = m->actuator_plugin[k];
+        if (other >= 0 && other != instance && m->plugin[other] == m->plugin[instance] &&
+            m->actuator_trntype[k] == mjTRN_JOINT && m->actuator_trnid[2 * k] == m->actuator_trnid[2 * actuator]) {
             return true;
         }
     }
@@ -82,9 +82,8 @@ static const char *refuse_drive(const mjModel *m, int instance, int actuator)
         (m->jnt_type[joint] != mjJNT_HINGE && m->jnt_type[joint] != mjJNT_SLIDE)) {
         return "a motor turns a hinge or a slide; write joint=... of one of them";
     }
-    return shares_joint(m, actuator)
-               ? "two axes of boards are at one joint; give each a joint of its own, tied by <equality>"
-               : NULL;
+    return another_board(m, instance, actuator) ? "another board drives its joint; use the two axes of one board"
+                                                : NULL;
 }
 
 /* "ACTUATOR [MODE]" of an axis. NULL, or what is wrong. */
@@ -242,15 +241,21 @@ const char *model_configure(const mjModel *m, int instance, exported_t *board, c
     return NULL;
 }
 
-/* The rotor of an axis is in the inertia of its joint; the brake of a plant does not act on it. */
+/* The rotors of the axes at the joint of an actuator are in its inertia; the brake of a plant does not act on it. */
 static const char *check_joint(const mjModel *m, model_t *model, const exported_t *board, int axis)
 {
-    const int actuator = model->drive[axis].actuator;
-    const double gear = m->actuator_gear[6 * actuator];
-    const double least = gear * gear * exported_number(board, of_plant(axis, "inertia"));
-    if (m->dof_armature[m->jnt_dofadr[m->actuator_trnid[2 * actuator]]] < (1.0 - INERTIA_TOLERANCE) * least) {
+    const int joint = m->actuator_trnid[2 * model->drive[axis].actuator];
+    double least = 0.0;
+    for (int k = 0; k < AXES; k++) {
+        const int actuator = model->drive[k].actuator;
+        if (actuator >= 0 && m->actuator_trnid[2 * actuator] == joint) {
+            const double gear = m->actuator_gear[6 * actuator];
+            least += gear * gear * exported_number(board, of_plant(k, "inertia"));
+        }
+    }
+    if (m->dof_armature[m->jnt_dofadr[joint]] < (1.0 - INERTIA_TOLERANCE) * least) {
         (void)snprintf(model->text, sizeof model->text,
-                       "the joint has less than the inertia of the rotor; write armature=\"%g\"", least);
+                       "the joint has less than the inertia of its rotors; write armature=\"%g\"", least);
         return model->text;
     }
     return (exported_number(board, of_plant(axis, "brake_torque")) > 0.0)
