@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, get_args
@@ -19,6 +22,16 @@ from servo_twin.plant import PlantConfig
 
 _IMAGE: Final = "image"
 _HEAD: Final = "state.json"
+_MALFORMED: Final = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    KeyError,
+    TypeError,
+    ValueError,
+    RuntimeError,  # flags of the ZIP file: encrypted, unknown method
+)
 _FAULTS: Final = {kind.__name__: kind for kind in (*get_args(NativeFault), *get_args(ChangedValue))}
 
 
@@ -67,12 +80,13 @@ class BoardState:
         OSError
             If the file cannot be read.
         """
+        content = io.BytesIO(Path(path).read_bytes())
         try:
-            with zipfile.ZipFile(path) as file:
+            with zipfile.ZipFile(content) as file:
                 head: dict[str, Any] = json.loads(file.read(_HEAD))
                 image = file.read(_IMAGE)
             faults = tuple(_FAULTS[fault.pop("kind")](**fault) for fault in head["faults"])
             plant = PlantConfig.parse(head["plant"])
             return cls(head["level"], head["time_ns"], head["seed"], plant, faults, image)
-        except (zipfile.BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
+        except _MALFORMED as error:
             raise BoardError(f"{path}: not a complete state of a board ({error})") from error

@@ -130,6 +130,21 @@ def test_damaged_file_is_refused(run: list[BoardState], tmp_path: Path) -> None:
         BoardState.load(path)
 
 
+def test_damaged_byte_of_a_file_is_refused_or_has_no_effect(run: list[BoardState], tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    run[0].save(path)
+    whole = path.read_bytes()
+    refused = 0
+    for k in [*range(60), *range(60, len(whole) - 250, 401), *range(len(whole) - 250, len(whole))]:
+        path.write_bytes(whole[:k] + bytes([whole[k] ^ 0x55]) + whole[k + 1 :])
+        try:
+            assert BoardState.load(path) == run[0]
+        except BoardError as error:
+            assert str(error).startswith(f"{path}: not a complete state")  # noqa: PT017
+            refused += 1
+    assert refused > 100
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
