@@ -3,6 +3,10 @@
 The cost program runs on the host with the charges of the virtual core (`servo_twin._core_time`), which are summed per
 file; the inputs are bit-identical. The weights are a least-squares fit of the mean instructions of each interrupt and
 loop, regularised towards one common weight, so that a file that no run determines has a plausible weight.
+
+The committed weights stay while each mean that they charge is within `KEPT_WITHIN` of the one by a new fit: every
+change of the firmware shifts the fit, single weights by up to 7 % where the runs determine only their sum, and with
+other weights every run at level registers gives other numbers.
 """
 
 from __future__ import annotations
@@ -35,6 +39,11 @@ from firmware_cost.instructions import (
 _REGULARISATION: Final = 0.1
 """Regularisation of a weight towards the common one, relative to the relative error of a row."""
 _WEIGHT_MIN: Final = 0.1
+KEPT_WITHIN: Final = 0.03
+"""Largest relative difference of the means that committed and fitted weights charge, with which the former stay.
+
+Small against the error of the charges, of up to 10 % on average.
+"""
 _HOST: Final = ("gcc", "-std=gnu99", "-O1", "-w")
 _WRAPPED: Final = ("axis_fast", "axis_slow")
 
@@ -170,6 +179,22 @@ def fit(charge: Charges, counts: Mapping[Setup, Counts]) -> dict[str, float]:
         weight[low], free = _WEIGHT_MIN, free & ~low
     entries = zip(charge.files, weight, used, strict=True)
     return {COMMON: round(common, 3), **{name: round(float(value), 3) for name, value, part in entries if part}}
+
+
+def kept(committed: Mapping[str, float], fitted: Mapping[str, float], charge: Charges) -> dict[str, float]:
+    """The committed weights, if they charge about the same as the fitted ones; otherwise these.
+
+    Parameters
+    ----------
+    committed, fitted : mapping
+        As from `fit`. A file without a committed weight has the fitted one.
+    charge : Charges
+        To which `fitted` was fitted.
+    """
+    weights = {name: committed.get(name, value) for name, value in fitted.items()}
+    means = np.array(list(charge.mean.values()))
+    old, new = (means @ [weight_of(one, name) for name in charge.files] for one in (weights, fitted))
+    return weights if (np.abs(old - new) <= KEPT_WITHIN * new).all() else dict(fitted)
 
 
 def weights_text(weights: Mapping[str, float]) -> str:

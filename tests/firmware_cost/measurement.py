@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from servo_twin._core_time import load_weights
 from targets.sources import Sources
 from targets.toolchain import run
 
-from firmware_cost.calibration import Charges, Charging, charges, fit, weights_text
+from firmware_cost.calibration import Charges, Charging, charges, fit, kept, weights_text
 from firmware_cost.instructions import Count, Counts, Setup, cost_program, count, name_of
 from firmware_cost.programs import OBJCOPY, OPTIMISATIONS, Programs, compiler
 from firmware_cost.recorder import recorder_costs, recorder_program
@@ -36,7 +37,7 @@ class Measurement:
     recorder: Mapping[str, Count]  # instructions of a call of a recorder, by case
     charging: Charging  # program with the charges of the virtual core
     charge: Charges  # its counts without weights
-    weights: Mapping[str, float]  # weight of each file in the price list of the virtual core, fitted to these counts
+    weights: Mapping[str, float]  # weight of each file in the price list of the virtual core, see `calibration`
     charged: Mapping[Setup, Counts]  # charges of the virtual core with these weights [1/16 instruction], by setup
 
     @property
@@ -92,7 +93,7 @@ def measure(sources: Sources, folder: Path) -> Measurement:
     by_setup: dict[Setup, Counts] = {Setup.CONFIGURED: counts[REFERENCE], **others}
     charging = Charging.build(sources, folder / "charges")
     charge = charges(charging)
-    weights = fit(charge, by_setup)
+    weights = kept(load_weights(), fit(charge, by_setup), charge)
     return Measurement(
         compiler(),
         fingerprint(programs[REFERENCE], weights_text(weights)),
