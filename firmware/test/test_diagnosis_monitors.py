@@ -342,12 +342,12 @@ def test_rotating_voltage_for_eight_ticks_with_current_is_a_lost_encoder(spinnin
 
 @pytest.mark.parametrize(
     ("features", "beyond", "found"),
-    [(DEAD_TIME, 0, False), (DEAD_TIME, 1, True), (0, 1, False), (0, EMF_FLOOR + 1, True)],
+    [(DEAD_TIME, 0, False), (DEAD_TIME, 1, True), (0, 2 * EMF_FLOOR, False), (0, 2 * EMF_FLOOR + 1, True)],
 )
 def test_voltage_explained_by_dead_time_and_half_of_the_resistance_is_no_back_emf(
     spinning: Diagnosis, features: int, beyond: int, found: bool
 ) -> None:
-    """Steps of 90 degrees along the axes, where the length is exact. Without compensation the loss is doubled."""
+    """Steps of 90 degrees along the axes, where the length is exact. Without compensation the floor is tripled."""
     spinning.current(2 * SILENT, 0)
     spinning.seen.features = features
     length = EMF_FLOOR + spinning.seen.drop // 2 + beyond

@@ -22,6 +22,7 @@ from servo_twin.plant import PlantConfig
 
 _IMAGE: Final = "image"
 _HEAD: Final = "state.json"
+_SIZE_MAX: Final = 1 << 26  # of a file [bytes]
 _MALFORMED: Final = (
     zipfile.BadZipFile,
     zlib.error,
@@ -80,7 +81,8 @@ class BoardState:
         OSError
             If the file cannot be read.
         """
-        content = io.BytesIO(Path(path).read_bytes())
+        with Path(path).open("rb") as stream:
+            content = io.BytesIO(stream.read(_SIZE_MAX))  # what is cut off is not a complete state
         try:
             with zipfile.ZipFile(content) as file:
                 head: dict[str, Any] = json.loads(file.read(_HEAD))

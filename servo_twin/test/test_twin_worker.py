@@ -52,6 +52,10 @@ class Line:
         self.rig.twin = self  # type: ignore[assignment]
 
     # ---- interface of the twin
+    @property
+    def status(self) -> str:
+        return self.twin.status
+
     def add_samples(self, columns: Any, table: Any) -> None:
         self.worker.add_samples(columns, table)
 
