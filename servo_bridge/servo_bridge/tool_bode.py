@@ -6,8 +6,8 @@ import argparse
 import csv
 import io
 import json
-import math
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,16 +18,13 @@ from servo_measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.quantity import Quantity
-from servo_msgs_py.runtime.program import complain, deferred
 
 from servo_bridge.bode_recording import write_recording
-from servo_bridge.measurement_access import measurement_access
-from servo_bridge.tool_progress import progress_bar, show
+from servo_bridge.tool_measurement import add_loop_options, measured
 from servo_msgs_py import argument
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
-    from servo_bridge.wire.session import Session
 
 _AXES: Final = [axis_name(axis) for axis in range(AXES)]
 
@@ -51,23 +48,8 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--from", dest="f_min", type=argument.positive, metavar="HZ", help="lowest frequency")
     command.add_argument("--to", dest="f_max", type=argument.positive, metavar="HZ", help="highest frequency")
     command.add_argument("--speed", type=argument.finite, metavar="RAD/S", help="constant speed during the measurement")
-    command.add_argument(
-        "--range",
-        type=argument.positive,
-        default=math.inf,
-        metavar="RAD",
-        help="largest angle of the shaft in each direction",
-    )
-    command.add_argument(
-        "--gain",
-        type=_part,
-        default=1.0,
-        metavar="PART",
-        help="bandwidths of speed and position control during the measurement, over those of the board: a part for a"
-        " shaft that oscillates (default: 1)",
-    )
     command.add_argument("--repeat", type=_repeats, default=4, metavar="N", help="sweeps per band (default: 4)")
-    command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
+    add_loop_options(command, gain=1.0)
     command.add_argument(
         "--out",
         type=argument.output_folder,
@@ -95,7 +77,7 @@ def bode(context: Context) -> int:
         args.gain,
     )
     try:
-        result = measured(context.session, request, enable=args.enable)
+        result = measured(context.session, partial(measure, request=request, enable=args.enable))
         if args.out is not None:
             write_files(result, args.out)
         if args.rrd is not None:
@@ -105,18 +87,6 @@ def bode(context: Context) -> int:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     return 0 if result.confirmed else 1
-
-
-def measured(session: Session, request: BodeRequest, *, enable: bool) -> Bode:
-    """Measure with a progress bar and messages; parameters and errors as of `servo_measurement.bode.measure`."""
-    with deferred() as stop, measurement_access(session, stop.check) as access, progress_bar() as bar:
-        return measure(
-            access,
-            request,
-            enable=enable,
-            report=lambda sentence: complain(f"servo-tool: {sentence}"),
-            progress=lambda text, done, total: show(bar, f"{text} ", done, total),
-        )
 
 
 def write_files(result: Bode, folder: Path) -> str:
@@ -129,10 +99,6 @@ def write_files(result: Bode, folder: Path) -> str:
     write_file(folder / f"{stem}.csv", table.getvalue())
     draw(result, folder / f"{stem}.png")
     return stem
-
-
-def _part(text: str) -> float:
-    return argument.finite(text, Quantity(minimum=0.01, maximum=1.0))
 
 
 def _repeats(text: str) -> int:

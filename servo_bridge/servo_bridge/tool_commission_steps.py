@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_measurement.access import MeasurementError
+from servo_measurement.bode import measure
 from servo_measurement.bode_plan import BodeRequest
 from servo_measurement.frequency_response import Measured
 from servo_measurement.motor_values import Limits
@@ -35,6 +36,7 @@ from servo_bridge.commissioning.recorded_move import DURATION, RECORDING, MoveEr
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.measurement_access import SessionAccess, measurement_access
 from servo_bridge.tool_commands import Context
+from servo_bridge.tool_measurement import measured
 from servo_bridge.tuning.plan import Plan, computed, read_blocks
 from servo_bridge.wire.session_port import SessionPort
 
@@ -175,7 +177,7 @@ def _tune(subject: Subject) -> Done:
 
 def _bode(loop: str, subject: Subject) -> Done:
     request = BodeRequest(subject.axis, loop, travel_max=math.tau * subject.limits.turns)
-    result = tool_bode.measured(subject.context.session, request, enable=True)
+    result = measured(subject.context.session, partial(measure, request=request, enable=True))
     stem = tool_bode.write_files(result, subject.folder)
     predicted = result.prediction.margins
     remedy = "the identified motor values, or a load behind a spring (servo-tool resonance)"

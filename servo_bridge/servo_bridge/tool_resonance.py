@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from servo_measurement.access import MeasurementError
-from servo_measurement.resonance import ResonanceRequest, measure
+from servo_measurement.resonance import GAIN, ResonanceRequest, measure
 from servo_msgs_py.catalogue import AXIS_NAMES
 from servo_msgs_py.output_file import write_file
-from servo_msgs_py.runtime.program import complain, deferred
+from servo_msgs_py.runtime.program import complain
 
-from servo_bridge.measurement_access import measurement_access
-from servo_bridge.tool_progress import progress_bar, show
+from servo_bridge.tool_measurement import add_loop_options, measured
 from servo_msgs_py import argument
 
 if TYPE_CHECKING:
@@ -33,14 +32,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--speed", type=argument.positive, metavar="RAD/S", help="constant speed (default: as of bode)"
     )
-    command.add_argument(
-        "--range",
-        type=argument.positive,
-        default=math.inf,
-        metavar="RAD",
-        help="largest angle of the shaft in each direction",
-    )
-    command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
+    add_loop_options(command, GAIN)
     command.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     command.add_argument(
         "-o", "--output", type=argument.output_file, metavar="FILE.toml", help="file to write (default: print it)"
@@ -50,22 +42,17 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 def resonance(context: Context) -> int:
     """Measure, print the table, write the group; returns 1 if it could not be measured."""
     args = context.args
-    request = ResonanceRequest(AXIS_NAMES.index(args.axis), args.speed, args.range)
+    request = ResonanceRequest(AXIS_NAMES.index(args.axis), args.speed, args.range, args.gain)
     try:
-        with deferred() as stop, measurement_access(context.session, stop.check) as access, progress_bar() as bar:
-            found = measure(
-                access,
-                request,
-                enable=args.enable,
-                report=lambda sentence: complain(f"servo-tool: {sentence}"),
-                progress=lambda text, done, total: show(bar, f"{text} ", done, total),
-            )
+        found = measured(context.session, partial(measure, request=request, enable=args.enable))
     except (MeasurementError, ValueError) as error:  # a number or a block was refused
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     print(json.dumps(found.as_dict(), allow_nan=False) if args.json else found.text())
-    if args.output:
+    if args.output and found.toml():
         write_file(args.output, found.toml())
+    elif args.output:
+        complain(f"servo-tool: {args.output} is not written: there is no load behind a spring")
     elif found.toml() and not args.json:
         print(f"\n{found.toml()}", end="")
     return 0

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from servo_measurement.access import MeasurementError
 from servo_measurement.ripple import RippleRequest, measure
 from servo_msgs_py.catalogue import AXIS_NAMES
 from servo_msgs_py.output_file import write_file
-from servo_msgs_py.runtime.program import complain, deferred
 
-from servo_bridge.measurement_access import measurement_access
-from servo_bridge.tool_progress import progress_bar, show
+from servo_bridge.tool_measurement import add_enable, measured
 from servo_msgs_py import argument
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--speed", type=argument.positive, metavar="RAD/S", help="constant speed (default: a turn fits the recorder)"
     )
-    command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
+    add_enable(command)
     command.add_argument(
         "-o", "--output", type=argument.output_file, metavar="FILE.toml", help="file to write (default: print it)"
     )
@@ -41,14 +40,7 @@ def ripple(context: Context) -> int:
     args = context.args
     request = RippleRequest(AXIS_NAMES.index(args.axis), args.speed)
     try:
-        with deferred() as stop, measurement_access(context.session, stop.check) as access, progress_bar() as bar:
-            found = measure(
-                access,
-                request,
-                enable=args.enable,
-                report=lambda sentence: complain(f"servo-tool: {sentence}"),
-                progress=lambda text, done, total: show(bar, f"{text} ", done, total),
-            )
+        found = measured(context.session, partial(measure, request=request, enable=args.enable))
     except (MeasurementError, ValueError) as error:  # a number or a block was refused
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
