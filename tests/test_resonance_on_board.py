@@ -68,12 +68,25 @@ def test_load_is_measured_and_the_bandwidth_that_tune_names_does_not_oscillate(
     file.write_text(CONFIG.read_text(encoding="utf-8") + text, encoding="utf-8")
     assert bench.tool("tune", file, "--dry-run") == 0
     warning = capsys.readouterr()
-    assert "axis1.control.speed_bandwidth = 21 or less and axis1.control.position_gain = 17 or less" in (
+    assert "axis1.control.speed_bandwidth = 21 or less and axis1.control.position_gain = 16 or less" in (
         warning.out + warning.err
     )
-    slower = edited(tmp_path, "slower.toml", control={"speed_bandwidth": 21, "position_gain": 17})
+    slower = edited(tmp_path, "slower.toml", control={"speed_bandwidth": 21, "position_gain": 16})
     assert bench.tool("tune", slower, "--axis", "1") == 0
     assert not oscillates(board)
+
+
+def test_an_enabled_axis_stays_enabled_with_its_gains(bench: ToolBench) -> None:
+    """Else the load of a vertical axis would fall at the end of the measurement."""
+    board = bench.board
+    board.write("param.command_timeout", 0.0)
+    board.write("cmd.enable", [0, 1])
+    assert reached(board, lambda: place(board, 1) == "SPIN", 8.0, 0.05)
+    before = [bench.raw(name) for name in KEPT]
+    assert bench.tool("resonance", "axis2") == 0
+    board.run(0.2)
+    assert place(board, 1) == "SPIN"
+    assert [bench.raw(name) for name in KEPT] == before
 
 
 def test_bode_names_a_part_of_the_gains_for_a_shaft_that_oscillates(
@@ -81,7 +94,7 @@ def test_bode_names_a_part_of_the_gains_for_a_shaft_that_oscillates(
 ) -> None:
     """A curve with the gains that the board has reduced is compared with nothing."""
     assert bench.tool("bode", "axis1", "speed", "--enable") == 1
-    assert "servo-tool bode --gain 0.125" in capsys.readouterr().err
+    assert "(--gain 0.125)" in capsys.readouterr().err
     assert bench.tool("bode", "axis1", "speed", "--enable", "--gain", "0.125", "--json") == 0
     assert json.loads(capsys.readouterr().out)["gain"] == 0.125
 
@@ -100,8 +113,12 @@ def test_what_cannot_be_measured_is_refused(bench: ToolBench, capsys: pytest.Cap
     assert place(board, 0) == "STOP"
 
 
-def test_rigid_shaft_as_json(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench.tool("resonance", "axis2", "--enable", "--json") == 0
+def test_rigid_shaft_as_json(bench: ToolBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An earlier file is kept."""
+    file = tmp_path / "load.toml"
+    file.write_text("kept", encoding="utf-8")
+    assert bench.tool("resonance", "axis2", "--enable", "--json", "-o", file) == 0
+    assert file.read_text(encoding="utf-8") == "kept"
     found = json.loads(capsys.readouterr().out)
     assert found["rigid"]
     (inertia,) = found["values"]

@@ -101,8 +101,8 @@ static bool current_flows(const winding_config_t *config, const observation_t *o
 }
 
 /* Voltage that half of the resistance, dead time and switches may account for. Dead time is not compensated at small
- * currents. Without a compensation a vector loses up to 4/3 of the voltage of a leg, whose floor has half of its dead
- * time. */
+ * currents. The floor is half of the voltage that a leg loses; without compensation a vector loses up to 4/3 of that of a
+ * leg: 8/3 floors, rounded up. */
 static int32_t tolerated(const winding_config_t *config, const observation_t *o)
 {
     int32_t floors = 3;

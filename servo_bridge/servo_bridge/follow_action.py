@@ -198,12 +198,10 @@ class FollowAction:
         handle.execute()
         request = handle.request
         data = self._trajectories.pop(bytes(handle.goal_id.uuid), None)
-        self._trajectory_seen(serialize_message(request.trajectory) if data is None else data)
-        others = {name: getattr(request, name) for name in request.get_fields_and_field_types() if name != "trajectory"}
-        self._called({"goal_id": _name(handle), **others}, "request")
         joints = self._goals.joints_of(request.trajectory.joint_names)
         goal = Goal(joints, {}, {}, 0.0)
         try:
+            self._record(handle, data)
             owner = _Sender(self._type, handle, self._end, joints, self._gears)
             trajectory = converted(request.trajectory) if data is None else read(data)
             self._goals.begin(_SOURCE, trajectory, self._goal(request, joints), owner, PREEMPTED)
@@ -216,6 +214,13 @@ class FollowAction:
             self._running.append(handle)
             return
         self._end(handle, goal)
+
+    def _record(self, handle: Any, data: bytes | None) -> None:
+        """Pass the trajectory, and then the rest of the goal, to a recording."""
+        request = handle.request
+        self._trajectory_seen(lambda: serialize_message(request.trajectory) if data is None else data)
+        others = {name: getattr(request, name) for name in request.get_fields_and_field_types() if name != "trajectory"}
+        self._called({"goal_id": _name(handle), **others}, "request")
 
     def _goal(self, request: Any, joints: list[str]) -> Goal:
         if len(request.multi_dof_trajectory.points) or len(request.multi_dof_trajectory.joint_names):

@@ -49,7 +49,7 @@ class Bode:
     settings: Settings  # of the measurement
     bands: tuple[Band, ...]  # sweeps
     response: Response  # open loop
-    half: Response | None  # with half the amplitude, in the band of the crossover
+    half: Response | None  # with half the amplitude, in the band of the crossover, or as requested in every band
     figures: Figures  # its crossover, margins and resonances
     prediction: Prediction  # of the tuning code
     notes: tuple[str, ...]  # remarks, one sentence each
@@ -92,8 +92,8 @@ def measure(
     settings, prediction, bands = complete_settings(access, request)
     refuse_settings(access, settings, bands)
     report(motion_text(settings, bands))
-    checks = settings.repeats if request.half else _CHECKS
-    total = len(bands) * settings.repeats + checks
+    sweeps = len(bands) * settings.repeats
+    total = sweeps + (sweeps if request.half else _CHECKS)
     rig = BodeRig(access, settings, report)
     block = None if settings.gain == 1.0 else prediction.block
     with rig.prepared(enable, test_mode=not settings.loop.slow, block=block):
@@ -117,11 +117,14 @@ def measure(
             [swept(band, settings.amplitude, settings.repeats, k * settings.repeats) for k, band in enumerate(bands)]
         )
         found, remarks = figures(response), notes(settings, prediction)
-        half = None
-        if found.crossover is not None or request.half:
-            crossover = 0.0 if found.crossover is None else found.crossover.value
+        half, amplitude = None, 0.5 * settings.amplitude
+        if request.half:
+            again = settings.repeats
+            half = joined([swept(band, amplitude, again, sweeps + k * again) for k, band in enumerate(bands)])
+        elif found.crossover is not None:
+            crossover = found.crossover.value
             (band, *_) = [band for band in bands if band.f_min <= crossover <= band.f_max] or bands
-            half = swept(band, 0.5 * settings.amplitude, checks, total - checks)
+            half = swept(band, amplitude, _CHECKS, sweeps)
         progress("done", total, total)
     if found.crossover is not None and half is not None:
         found, note = _compared(found, figures(half))

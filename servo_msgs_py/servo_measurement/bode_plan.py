@@ -21,6 +21,9 @@ from servo_measurement.running_axis import SETTLE
 from servo_measurement.test_signal import SweptSine, refuse_test_signal
 
 SWEEP_PART: Final = 0.8  # of a recording; the remainder is for the decay of the response
+GAIN_MIN: Final = 0.01
+"""Smallest part of the bandwidths with which a loop is measured."""
+
 BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor during the measurement of a current loop
 
 _CYCLES_MIN: Final = 4.0  # of the lowest frequency in a sweep
@@ -86,7 +89,7 @@ class BodeRequest:
     gain: float = 1.0
     """Bandwidths of speed and position control during the measurement, over those of the board, above 0 to 1."""
     groups: int = GROUPS  # of frequencies, per decade
-    half: bool = False  # measure as often with half the amplitude, also without a crossover
+    half: bool = False  # sweep every band as often with half the amplitude
 
 
 @dataclass(frozen=True)

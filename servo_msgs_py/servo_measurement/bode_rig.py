@@ -12,7 +12,7 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_measurement.access import BoardAccess, Capture, MeasurementError
 from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME
-from servo_measurement.bode_plan import BASE_PART, Band, Settings
+from servo_measurement.bode_plan import BASE_PART, GAIN_MIN, Band, Settings
 from servo_measurement.running_axis import RunningAxis
 from servo_measurement.test_signal import TRIGGER, start_test_signal
 
@@ -95,13 +95,19 @@ class BodeRig(RunningAxis):
         return self.record(Capture(names, band.samples, band.every, loop.slow, start, TRIGGER, meanwhile=meanwhile))
 
     def _refuse_reduced_gains(self) -> None:
-        """Raise an error if the board has reduced the gains because of an oscillation."""
-        if self.is_limited("OSCILLATION"):
-            raise MeasurementError(
-                f"{self.name} oscillates at {self.value('oscillation'):.0f} Hz, and the board has reduced its gains: "
-                f"measure with a part of them (servo-tool bode --gain {0.125 * self._settings.gain:g}), or the load "
-                f"(servo-tool resonance {self.name})"
-            )
+        """Raise an error if the board may have reduced the gains because of an oscillation."""
+        if not self.is_limited("OSCILLATION"):
+            return
+        remedies = []
+        if (part := 0.125 * self._settings.gain) >= GAIN_MIN:
+            remedies.append(f"measure with a part of them (--gain {part:g})")
+        if self._settings.gain == 1.0:
+            remedies.append(f"measure the load (servo-tool resonance {self.name})")
+        remedies.append("if cogging forces it, remove OSCILLATION from param.faults_enabled for the measurement")
+        raise MeasurementError(
+            f"{self.name} oscillates at {self.value('oscillation'):.0f} Hz, and the board reduces its gains: "
+            f"{', or '.join(remedies)}"
+        )
 
     def _wait_for_standstill(self) -> None:
         """Wait for the decay of oscillations of a rotor held by a current."""

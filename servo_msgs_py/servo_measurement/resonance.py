@@ -28,7 +28,7 @@ from servo_measurement.least_squares import Floats, fit_nonlinear
 from servo_measurement.prediction import Prediction, predict
 
 GAIN: Final = 0.125
-"""Part of the bandwidths during the measurement: what the oscillation monitor leaves at most."""
+"""Part of the bandwidths during the measurement: the smallest one that the oscillation monitor leaves."""
 
 _F_MIN, _F_MAX = 15.0, 790.0  # band [Hz]
 _GROUPS: Final = 160  # of frequencies, per decade: a resonance with 1 % damping is wider
@@ -83,7 +83,7 @@ class Shaft:
 
     parameters: Floats  # (1,) or (4,)
     covariance: Floats  # (p, p)
-    half: Floats  # (p,), parameters of the measurement with half the amplitude
+    at_half: Floats  # (p,), parameters from the measurement with half the amplitude
     squares: float  # sum of the squared weighted residuals
 
     @property
@@ -115,7 +115,7 @@ class Shaft:
             np.array([of(self.parameters + step * row) / value - 1.0 for row in np.eye(self.parameters.size)]) / step
         )
         scatter = _CONFIDENCE * math.sqrt(max(float(slope @ self.covariance @ slope), 0.0))
-        return Value(name, unit, value, max(scatter, abs(of(self.half) / value - 1.0)))
+        return Value(name, unit, value, max(scatter, abs(of(self.at_half) / value - 1.0)))
 
 
 def _inertia(x: Floats) -> float:
@@ -161,7 +161,8 @@ class Resonance:
             return ""
         rows = {"inertia": load.inertia, "stiffness": load.stiffness, "damping": load.damping}
         lines = "".join(f"{key} = {value:.4g}\n" for key, value in rows.items())
-        return f"# of a shaft with motor.inertia = {self.shaft.inertia:.4g}\n[{axis_name(self.axis)}.load]\n{lines}"
+        name, whole = axis_name(self.axis), self.shaft.inertia
+        return f"# write inertia = {whole:.4g} in [{name}.motor]: this load is a part of it\n[{name}.load]\n{lines}"
 
     def as_dict(self) -> dict[str, object]:
         """The figures for JSON."""
@@ -169,7 +170,13 @@ class Resonance:
             {"name": one.name, "unit": one.unit, "value": one.value, "interval": one.relative * one.value}
             for one in self.shaft.values()
         ]
-        return {"axis": axis_name(self.axis), "band": list(self.band), "rigid": self.shaft.load is None, "values": rows}
+        return {
+            "axis": axis_name(self.axis),
+            "band": list(self.band),
+            "rigid": self.shaft.load is None,
+            "configured inertia": self.nominal,
+            "values": rows,
+        }
 
 
 def measure(
@@ -214,7 +221,7 @@ def measure(
     if any(int(part.good.sum()) < _POINTS_MIN for part in (bode.response, bode.half)):
         raise MeasurementError(f"too few frequencies of {name} have a sufficient coherence: {_LARGER}")
     shaft = fitted(bode.prediction, bode.response, bode.half)
-    if not np.isfinite(shaft.half).all():
+    if not np.isfinite(shaft.at_half).all():
         raise MeasurementError(f"the shaft of {name} differs at half the amplitude of the test signal: {_LARGER}")
     frequency = bode.response.frequency[bode.response.good]
     return Resonance(
@@ -245,7 +252,7 @@ def fitted(prediction: Prediction, response: Response, half: Response) -> Shaft:
     shaft = sprung if _is_significant(rigid, sprung) else rigid
     again = _fit(_residual(prediction, half), shaft.parameters)
     return replace(
-        shaft, half=again.parameters if math.isfinite(again.squares) else np.full_like(again.parameters, math.nan)
+        shaft, at_half=again.parameters if math.isfinite(again.squares) else np.full_like(again.parameters, math.nan)
     )
 
 

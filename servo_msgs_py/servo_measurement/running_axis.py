@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final
 
-from servo_msgs_py.axis_config_transfer import send_configuration
+from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 
 from servo_measurement.access import MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME, AxisUnderTest
@@ -51,6 +51,13 @@ class RunningAxis(AxisUnderTest):
             if self.is_spinning:
                 self.hold()
 
+        own = None if block is None else read_block(self.access, self.axis)
+
+        def configuration_before() -> None:
+            """While enabled: at the end of a session the board disables an axis with another configuration."""
+            if own is not None and self.is_spinning:
+                send_configuration(self.access, {self.axis: own})
+
         def mode_before() -> None:
             if not was_spinning:
                 return  # the board disables the axis and restores its mode at the end of the session
@@ -62,7 +69,8 @@ class RunningAxis(AxisUnderTest):
                 self.mode(mode)
             self.access.wait(POLL_TIME)  # until the changes are active
 
-        with self.session((("shaft at rest", rest), ("mode", mode_before))):
+        steps = (("shaft at rest", rest), ("gains", configuration_before), ("mode", mode_before))
+        with self.session(steps):
             if block is not None:
                 send_configuration(self.access, {self.axis: block})
             if not was_spinning:

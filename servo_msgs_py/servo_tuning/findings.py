@@ -180,7 +180,7 @@ def _spring(design: Tuned) -> Iterator[Problem]:
     part = next((p for p in parts if _is_stable(design, load, p) and _is_stable(design, load, GAIN_MIN * p)), None)
     slower = lower("control.speed_bandwidth")
     if part is not None:
-        speed, position = (lower(path, _short(part * axis(path))) for path in _BANDWIDTHS)
+        speed, position = (lower(path, _short_below(part * axis(path))) for path in _BANDWIDTHS)
         slower = replace(speed, also=position)
     yield axis.problem("load.stiffness", reason, slower, higher("load.stiffness"))
 
@@ -252,6 +252,11 @@ def _follows(design: Tuned) -> Iterator[Problem]:
 
 def _short(value: float) -> float:
     return float(f"{value:.2g}")
+
+
+def _short_below(value: float) -> float:
+    digit: float = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / digit + 1e-9) * digit:.2g}")
 
 
 def _unusable(design: Tuned) -> Iterator[Problem]:

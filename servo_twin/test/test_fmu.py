@@ -262,6 +262,22 @@ def test_step_back_and_another_instance_continue_with_the_same_bits(
     other.slave.freeInstance()
 
 
+def test_a_state_of_the_initialisation_is_restored_before_and_behind_its_end(fmu: Instance) -> None:
+    fmu.slave.enterInitializationMode(startTime=0.0)
+    state = fmu.slave.getFMUState()
+    fmu.slave.setFMUState(state)
+    fmu.slave.exitInitializationMode()
+    fmu.step(1603)
+    end = fmu.everything()
+    fmu.slave.setFMUState(state)
+    fmu.slave.exitInitializationMode()
+    fmu.time_ns = 0
+    fmu.step(1603)
+    assert fmu.everything() == end
+    with pytest.raises(Exception, match="fmi3ExitInitializationMode"):
+        fmu.slave.exitInitializationMode()
+
+
 @pytest.mark.parametrize("start", [0.123, 1e6])
 def test_added_step_sizes_and_a_late_start_are_accepted(fmu: Instance, start: float) -> None:
     fmu.slave.enterInitializationMode(startTime=start)

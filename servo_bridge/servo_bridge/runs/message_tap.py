@@ -72,10 +72,10 @@ class MessageTap:
 
         return seen
 
-    def add(self, topic: Topic, data: bytes) -> None:
-        """Pass a serialised message that is on no topic of the node."""
+    def add(self, topic: Topic, serialised: Callable[[], bytes]) -> None:
+        """Pass a message that is on no topic of the node."""
         if self.receiver is not None:
-            self.receiver(topic, data, time.time_ns())
+            self.receiver(topic, serialised(), time.time_ns())
 
 
 def _plain(value: Any) -> Any:

@@ -165,15 +165,18 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
     if (!isfinite(start)) {
         return report(fmu, fmi3Error, "is not finite", "startTime");
     }
-    fmu->mode = INITIALIZATION;
-    return reported(fmu, exported_start(fmu->exported, start));
+    const fmi3Status status = reported(fmu, exported_start(fmu->exported, start));
+    fmu->mode = (status == fmi3OK) ? INITIALIZATION : INSTANTIATED;
+    return status;
 }
 
 FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance instance);
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
     instance_t *fmu = (instance_t *)instance;
-    if (fmu->mode != INITIALIZATION) {
+    const board_t *board = exported_board(fmu->exported);
+    const bool at_start = fmu->mode == STEP && board != NULL && board_time_ns(board) == 0; /* a state from before it */
+    if (fmu->mode != INITIALIZATION && !at_start) {
         return report(fmu, fmi3Error, "comes after fmi3EnterInitializationMode", "fmi3ExitInitializationMode");
     }
     fmu->mode = STEP;
@@ -276,7 +279,8 @@ fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
     }
     const fmi3Status status = reported(fmu, exported_restore(fmu->exported, saved->bytes, saved->size));
     if (status == fmi3OK) {
-        fmu->mode = (exported_board(fmu->exported) != NULL) ? STEP : INSTANTIATED;
+        const fmu_mode_t begun = (fmu->mode == INITIALIZATION) ? INITIALIZATION : STEP;
+        fmu->mode = (exported_board(fmu->exported) != NULL) ? begun : INSTANTIATED;
     }
     return status;
 }

@@ -117,9 +117,13 @@ static const char *take_home(const mjModel *m, int instance, drive_t *drive, con
         }
     }
     *where = key;
-    return (text[0] != '\0' && (drive->home == HOME_METHOD_NONE || drive->actuator < 0))
-               ? "no method of homing: HERE, ASSUME, STOP_POSITIVE, STOP_NEGATIVE, SWITCH_POSITIVE, SWITCH_NEGATIVE; or the axis has no actuator"
-               : NULL;
+    if (text[0] == '\0') {
+        return NULL;
+    }
+    if (drive->home == HOME_METHOD_NONE) {
+        return "no method of homing; write HERE, ASSUME, STOP_POSITIVE, STOP_NEGATIVE, SWITCH_POSITIVE or SWITCH_NEGATIVE";
+    }
+    return (drive->actuator < 0) ? "the axis has no actuator" : NULL;
 }
 
 /* Axes of the actuators: by the attributes axis1 and axis2, without them in the order of the model. */
@@ -164,8 +168,11 @@ static const char *take_drives(const mjModel *m, int instance, model_t *model, c
 static const char *take_names(const char *text, names_t *names, const char **where)
 {
     static const char blanks[] = " \t\r\n";
-    (void)snprintf(names->text, sizeof names->text, "%s", text);
     names->count = 0;
+    if (strlen(text) >= sizeof names->text) {
+        return "the list of quantities is too long";
+    }
+    memcpy(names->text, text, strlen(text) + 1u);
     char *name = names->text + strspn(names->text, blanks);
     while (*name != '\0') {
         char *end = name + strcspn(name, blanks);

@@ -26,6 +26,7 @@ typedef struct instance {
     exported_t *board;
     uint8_t *last; /* state of that board */
     size_t size; /* of it [bytes]; 0: not known */
+    double refused[NAMES_MAX]; /* last refused value of each input, for the warning */
 } instance_t;
 
 /* ---- instances ------------------------------------------------------------------------------------------------------ */
@@ -221,15 +222,18 @@ static void start(const mjModel *m, const mjData *d, int instance, const instanc
 }
 
 /* Faults, supply and parameters that change during the run. */
-static void give_inputs(const mjData *d, exported_t *board, const model_t *model)
+static void give_inputs(const mjData *d, instance_t *own)
 {
+    exported_t *board = own->board;
+    const model_t *model = &own->model;
     for (int i = 0; i < model->inputs.count; i++) {
         const uint32_t reference = model->inputs.variable[i]->reference;
         const double value = model->start[i] + d->userdata[model->userdata + i];
         const exported_result_t result = (value != exported_number(board, reference))
                                              ? exported_set(board, reference, value)
                                              : (exported_result_t){EXPORTED_DONE};
-        if (result.status != EXPORTED_DONE) {
+        if (result.status != EXPORTED_DONE && own->refused[i] != value) { /* once, not in every step */
+            own->refused[i] = value;
             mju_warning(PLUGIN_NAME ": userdata %d, %s: %s", model->userdata + i, model->inputs.variable[i]->name,
                         result.what);
         }
@@ -238,7 +242,7 @@ static void give_inputs(const mjData *d, exported_t *board, const model_t *model
 
 static void plugin_advance(const mjModel *m, mjData *d, int instance)
 {
-    const instance_t *own = instance_of(d, instance);
+    instance_t *own = instance_of(d, instance);
     exported_t *exported = restored(m, d, instance);
     head_t head = head_of(state_of(m, d, instance));
     double before[AXES] = {0.0};
@@ -251,7 +255,7 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
         start(m, d, instance, own);
     }
     board_t *board = exported_board(exported);
-    give_inputs(d, exported, &own->model);
+    give_inputs(d, own);
     drive_follow(m, d, own->model.drive, head.axis, exported, step_ns); /* before: the mode of a path takes a step */
     for (int axis = 0; axis < AXES; axis++) {
         const drive_t *drive = &own->model.drive[axis];
@@ -270,6 +274,7 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
     }
     board_advance(board, board_time_ns(board) + step_ns);
     if (board_error(board) != NULL) {
+        own->size = 0; /* the same state is restored again */
         mju_error(PLUGIN_NAME ": instance %d: %s", instance, board_error(board));
     }
     for (int axis = 0; axis < AXES; axis++) {

@@ -47,7 +47,7 @@ OF_CURRENT: Final = ("r_s", "l_d", "l_q")
 """Values whose interval is inversely proportional to the current; that of the others to the speed."""
 
 WITH_SPEED: Final[Mapping[str, float]] = {"friction": 2.0}
-"""Exponent of the part of an interval in the speed that it needs; of the other values 1."""
+"""The speed that a value needs is proportional to this power of its interval over the permitted one; others: 1."""
 
 MARGIN: Final = 1.25
 """Margin of a current or a speed that is enough for an interval."""
