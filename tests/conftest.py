@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Callable
 from typing import Any
 
+import common_rig  # noqa: F401
 import pytest
 from targets.comparison import Expectation
 from targets.machines import CortexM4, Target, missing_text
 from targets.recording import Arithmetic, Recorder, Recording
 from targets.scenarios import SCENARIOS
 from targets.sources import Sources
-
-# A background shell may ignore SIGINT, and child processes inherit that.
-signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Set before test modules are imported: nodes of two workers must not discover each other.
 _WORKER = os.environ.get("PYTEST_XDIST_WORKER", "gw0")

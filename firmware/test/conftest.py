@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import common_rig  # noqa: F401
 import pytest
 
 # The helper modules of this folder can be imported under every import mode of pytest.

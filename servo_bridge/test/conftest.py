@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import common_rig  # noqa: F401
 import pytest
-from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # the helper modules of this folder
 
@@ -16,12 +15,6 @@ from fake_port import FakePort
 from fake_servo import FakeServo
 from link_watcher import StartLink, Watcher
 from servo_bridge.wire.link import LinkState
-
-# A background shell may ignore SIGINT, and child processes inherit that.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
-settings.register_profile("fixed", derandomize=True, deadline=None)
-settings.load_profile("fixed")
 
 
 @pytest.fixture

@@ -1,8 +1,3 @@
-"""Reproducible random examples, without a time limit that could fail on a busy machine."""
+"""The settings of every test run."""
 
-from __future__ import annotations
-
-from hypothesis import settings
-
-settings.register_profile("fixed", derandomize=True, deadline=None)
-settings.load_profile("fixed")
+import common_rig  # noqa: F401

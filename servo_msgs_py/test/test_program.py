@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import common_rig
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -132,6 +133,25 @@ def test_nohup_is_respected() -> None:
         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
     )
     assert (result.returncode, result.stdout) == (0, "goes on\n")
+
+
+def test_a_test_run_has_the_signals_of_a_terminal() -> None:
+    """Whatever started it: programs under test inherit what is ignored or blocked."""
+
+    def background() -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+    result = run(
+        "import runpy, signal\n"
+        f"runpy.run_path({common_rig.__file__!r})\n"
+        f"handlers = [signal.getsignal(number) for number in {[int(number) for number in SIGNALS]}]\n"
+        "assert handlers == [signal.default_int_handler, signal.SIG_DFL, signal.SIG_DFL], handlers\n"
+        "assert not signal.pthread_sigmask(signal.SIG_BLOCK, [])\n",
+        preexec_fn=background,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
 
 
 def test_closed_terminal_does_not_disturb_the_clean_up() -> None:

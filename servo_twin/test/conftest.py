@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from pathlib import Path
 
+import common_rig  # noqa: F401
 import pytest
-from hypothesis import settings
-
-# A background shell may ignore SIGINT, and child processes inherit that.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
-settings.register_profile("fixed", derandomize=True, deadline=None)
-settings.load_profile("fixed")
 
 # The helper modules of this folder, and one of the firmware's, can be imported under every import mode of pytest.
 TEST = Path(__file__).resolve().parent
