@@ -68,6 +68,20 @@ def test_loop_without_crossover_has_no_margins() -> None:
     assert (found.crossover, found.phase, found.gain) == (None, None, None)
 
 
+def test_phase_margin_of_a_resonance_is_the_nearest_one() -> None:
+    """A stable loop crosses unity gain below a resonance at +90 degrees, far from -180 on either side."""
+    low, high, damping = 300.0, 600.0, 0.01
+
+    def response(w: NDArray[np.float64]) -> NDArray[np.complex128]:
+        zeros, poles = (f**2 - w**2 + 2j * damping * f * w for f in (low, high))
+        return np.asarray(delayed_integrator(50.0, 2e-4)(w) * zeros / poles * (high / low) ** 2)
+
+    found = margins(response, 1e5)
+    assert found.crossover == pytest.approx(high / (2.0 * math.pi), rel=0.2)
+    assert found.phase is not None
+    assert 60.0 < found.phase < 90.0
+
+
 def test_gain_margin_at_half_the_sampling_frequency() -> None:
     """An integrator in discrete time, L = k / (z - 1): unstable from k = 2 on, where z = -1."""
     loop = System(np.array([[1.0]]), np.array([[0.5]]), np.array([[1.0]]), np.array([[0.0]]), 1.0)

@@ -81,7 +81,7 @@ class Resonance:
 class Figures:
     """Crossover, margins, resonances; None: not determined."""
 
-    crossover: Measured | None  # frequency of unity gain [Hz]; of several the one with the smallest phase margin
+    crossover: Measured | None  # frequency of unity gain [Hz]; of several the one nearest to instability
     phase_margin: Measured | None  # [degrees]
     gain_margin: Measured | None  # factor by which the gain may increase
     resonances: tuple[Resonance, ...]  # by frequency
@@ -198,7 +198,7 @@ def figures(response: Response) -> Figures:
     margins = [(_wrapped(math.degrees(c.other) + 180.0), c) for c in crossings]
     crossover = phase_margin = gain_margin = None
     if margins:
-        margin, c = min(margins, key=lambda pair: pair[0])
+        margin, c = min(margins, key=lambda pair: abs(pair[0]))
         crossover, phase_margin = Measured(c.frequency, c.sigma), Measured(margin, math.degrees(c.other_sigma))
     else:
         side = "above" if gain.mean() > 0.0 else "below"

@@ -148,7 +148,7 @@ class Margins:
     """Stability margins of an open loop."""
 
     crossover: float | None  # frequency at which the gain is 1 [Hz]; None: no crossover
-    phase: float | None  # phase margin [degrees]; the smallest of several crossovers
+    phase: float | None  # phase margin [degrees]; of several crossovers the one nearest to instability
     gain: float | None  # gain margin as a factor; None: infinite
 
 
@@ -189,7 +189,7 @@ def margins(response: Callable[[Omega], NDArray[np.complex128]], nyquist: float)
         (math.degrees(cmath.phase(-value)), w)
         for value, w in zip(response(np.array(crossings)), crossings, strict=True)
     ]
-    phase, omega = min(phases, default=(None, None))
+    phase, omega = min(phases, key=lambda one: abs(one[0]), default=(None, None))
     crossover = None if omega is None else omega / (2.0 * math.pi)
     return Margins(crossover, phase, min(gains, default=None))
 
