@@ -1,4 +1,4 @@
-"""Shared fixtures: a fake board on a pty, links to it, and reproducible random examples."""
+"""Shared fixtures: a fake board on a pty, and links to it."""
 
 from __future__ import annotations
 

@@ -145,7 +145,10 @@ class Tracking:
 
 @dataclass(frozen=True)
 class Margins:
-    """Stability margins of an open loop."""
+    """Stability margins of the open loop of a stable closed loop; the poles tell whether it is stable.
+
+    A negative phase margin is that of a crossover with a phase lead above 0 degrees, towards +180 degrees.
+    """
 
     crossover: float | None  # frequency at which the gain is 1 [Hz]; None: no crossover
     phase: float | None  # phase margin [degrees]; of several crossovers the one nearest to instability

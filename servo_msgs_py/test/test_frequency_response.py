@@ -193,6 +193,25 @@ def test_a_resonance_and_its_antiresonance_are_found() -> None:
     assert peak.frequency == pytest.approx(grid[np.argmax(size)], rel=0.04)
 
 
+def test_the_nearest_of_several_crossovers_is_reported() -> None:
+    """Below the resonance of a load on a spring the loop crosses unity gain with a phase lead."""
+
+    def sprung(omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        zeros, poles = (w**2 - omega**2 + 0.02j * w * omega for w in (300.0, 600.0))
+        return np.asarray(200.0 / (1j * omega) * np.exp(-2e-4j * omega) * zeros / poles)
+
+    frequency = np.geomspace(F_MIN, F_MAX, 2000)
+    value = sprung(2.0 * math.pi * frequency)
+    found = figures(Response(frequency, value, np.full_like(frequency, 1e-3), np.ones_like(frequency)))
+    truth = margins(sprung, 2.0 * math.pi * F_MAX)
+    assert found.crossover is not None
+    assert found.phase_margin is not None
+    assert truth.phase is not None
+    assert truth.phase > 0.0
+    assert found.phase_margin.value == pytest.approx(truth.phase, abs=2.0)
+    assert found.crossover.value == pytest.approx(truth.crossover, rel=0.15)  # the fit smooths the steep flank
+
+
 def test_a_swept_sine_ends_after_whole_turns() -> None:
     for point, top in (("I_Q", 6400.0), ("TORQUE", 790.0)):
         sine = SweptSine(point, 1.0, 0.02 * top, top, 0.3)

@@ -1,4 +1,4 @@
-"""Fixtures of the virtual board: its C parts, each compiled separately; reproducible random examples."""
+"""Fixtures of the virtual board: its C parts, each compiled separately."""
 
 from __future__ import annotations
 
