@@ -23,6 +23,7 @@ from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_options, use_elf
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.robot import command as robot
+from servo_twin.servo_config import ServoConfig, servo_table
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, turns
 from servo_twin.validation.experiments import command as experiment
 from servo_twin.validation.sweep import command as sweep
@@ -75,6 +76,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="plugin of MuJoCo to be written (.so): actuators with this board (needs servo_twin[mujoco])",
     )
+    exporter.add_argument(
+        "--config", type=Path, metavar="FILE", help="configuration of the firmware, a servo.toml (default: compiled in)"
+    )
     exporter.set_defaults(run=_export)
 
     robot.add_parser(verbs, common, _levelled(FAST_LEVEL))
@@ -101,18 +105,19 @@ def _board(args: argparse.Namespace) -> Board:
 
 def _export(args: argparse.Namespace) -> int:
     plant = PlantConfig.load(args.plant)
+    servo = ServoConfig.of_table(servo_table(args.config)) if args.config else None
     result: dict[str, object]
     if args.mjcf:
-        result = {"mjcf": str(args.mjcf), "errors": robot.export_mjcf(args.mjcf, plant, args.seed)}
+        result = {"mjcf": str(args.mjcf), "errors": robot.export_mjcf(args.mjcf, plant, args.seed, servo)}
     elif args.mujoco:
         from servo_twin.robot.plugin import export_plugin  # as below
 
-        export_plugin(args.mujoco, plant, args.seed)
+        export_plugin(args.mujoco, plant, args.seed, servo)
         result = {"mujoco": str(args.mujoco)}
     else:
         from servo_twin.fmu import export_fmu  # needs a C compiler and the sources, unlike the other commands
 
-        export_fmu(args.fmu, plant, args.seed)
+        export_fmu(args.fmu, plant, args.seed, servo)
         result = {"fmu": str(args.fmu)}
     if args.json:
         print(json.dumps(result))

@@ -31,6 +31,7 @@ from servo_twin._build_native import (
 from servo_twin.board import Board
 from servo_twin.board_memory import SimulationError
 from servo_twin.plant import AxisPlant, BusPlant, PinsPlant, PlantConfig, quantities
+from servo_twin.servo_config import ServoConfig
 from servo_twin.truth import QUANTITIES as TRUTH
 
 _BOOT: Final = 0.03  # until the parameters of the firmware have their values [s]
@@ -39,6 +40,7 @@ _WRITTEN: Final = ("enable", "mode", "position", "speed", "i_q", "quick_stop", "
 """Commands that are inputs."""
 
 _TIMEOUT: Final = "param.command_timeout"
+_PASSWORDS: Final = 3  # levels of access in board_servo_config_t
 _BLOCK: Final = 1000
 _BLOCKS: Final = {"input": 1, "firmware": 2, "truth": 3, "plant": 5, "bus": 7}  # EXPORTED_* in exported_board.h
 _INPUTS: Final = (
@@ -166,7 +168,37 @@ def _bus_parameters(plant: PlantConfig) -> list[_Number]:
     return _parameters(vars(plant.bus), BusPlant)
 
 
-def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], points: int, names: str, token: str) -> str:
+def _servo_text(servo: ServoConfig | None) -> str:
+    """``exported_servo``, the configuration of the firmware, for C."""
+    if servo is None:
+        return "static const board_servo_config_t *const exported_servo = NULL; /* that of the firmware */\n\n"
+
+    def members(axis: int) -> str:
+        return ", ".join(map(str, servo.blocks[axis]))
+
+    def digest(level: int) -> str:
+        return ", ".join(map(str, servo.passwords.get(level, bytes(1))))
+
+    blocks = "".join(f"static const int32_t servo_axis{k}[] = {{{members(k)}}};\n" for k in range(AXES))
+    places = ", ".join(f"servo_axis{k}" for k in range(AXES))
+    fields = "".join(f"    .{name} = {value},\n" for name, value in servo.board.items())
+    passwords = ", ".join(f"{{{digest(level)}}}" for level in range(_PASSWORDS))
+    return (
+        f"{blocks}static const board_servo_config_t given_servo = {{\n    .member = {{{places}}},\n{fields}"
+        f"    .password = {{{passwords}}},\n}};\n"
+        "static const board_servo_config_t *const exported_servo = &given_servo;\n\n"
+    )
+
+
+def _header(
+    plant: PlantConfig,
+    servo: ServoConfig | None,
+    seed: int,
+    elements: Sequence[_Element],
+    points: int,
+    names: str,
+    token: str,
+) -> str:
     """Text of ``exported_variables.h``."""
     faults = ", ".join(f"{{{kind}, {part}}}" for *_, kind, part in _FAULTS)
     axes = ",\n        ".join(f"{{{_c_members(axis.members())}}}" for axis in plant.axes)
@@ -184,6 +216,7 @@ def _header(plant: PlantConfig, seed: int, elements: Sequence[_Element], points:
         f"static const board_config_t exported_config = {{\n    .axis = {{{axes}}},\n"
         f"    .bus = {{{_c_members(vars(plant.bus))}}},\n    .pwm_frequency = {plant.pwm_frequency!r},\n"
         f"    .ambient = {plant.ambient!r},\n    .baud = 115200.0,\n    .seed = UINT64_C({seed}),\n}};\n\n"
+        f"{_servo_text(servo)}"
         f"static const exported_variable_t exported_names[] = {{\n{names}}};\n"
     )
 
@@ -242,7 +275,12 @@ class ExportedBoard:
 
 @contextmanager
 def exported_board(
-    name: str, shell: Sequence[Path], plant: PlantConfig | None, seed: int, options: Sequence[str | Path] = ()
+    name: str,
+    shell: Sequence[Path],
+    plant: PlantConfig | None,
+    servo: ServoConfig | None,
+    seed: int,
+    options: Sequence[str | Path] = (),
 ) -> Iterator[ExportedBoard]:
     """Compile a board for this machine; its files exist until the end of the context.
 
@@ -254,6 +292,8 @@ def exported_board(
         C files of the interface to the other simulator.
     plant : PlantConfig, optional
         Start values of the parameters; the packaged plant by default.
+    servo : ServoConfig, optional
+        Configuration of the firmware; that of ``firmware/config/servo.toml`` by default.
     seed : int
         Seed of all random numbers.
     options : sequence of str or Path
@@ -267,7 +307,7 @@ def exported_board(
         If the package is not in a checkout with the sources of the firmware.
     """
     plant = (plant or PlantConfig.load()).drawn(seed)
-    with Board(plant, seed=seed, level="ideal") as board:
+    with Board(plant, seed=seed, level="ideal", servo=servo) as board:
         board.run(_BOOT)
         elements, points = list(_elements(board)), board.address("cmd.points")
     variables = list(_variables(plant, elements))
@@ -277,10 +317,10 @@ def exported_board(
         try:
             identity = build_identity([*files, *headers], [*OPTIONS, *EXTRA])
             pointers = write_pointers(IDEAL[0], [NATIVE, FIRMWARE], [], identity, generated)
-            text = _header(plant, seed, elements, points, _names(variables), identity)
+            text = _header(plant, servo, seed, elements, points, _names(variables), identity)
             token = hashlib.sha256(text.encode()).hexdigest()[:32]
             header = generated / "exported_variables.h"
-            text = _header(plant, seed, elements, points, _names(variables), token)
+            text = _header(plant, servo, seed, elements, points, _names(variables), token)
             header.write_text(text, encoding="ascii")
             library = generated / f"{name}.so"
             include = [f"-I{folder}" for folder in (NATIVE, FIRMWARE, generated)]

@@ -16,6 +16,7 @@ from servo_msgs_py.units import PERIOD
 from servo_twin._build_native import FIRMWARE, NATIVE, OPTIONS
 from servo_twin.exported_board import ExportedBoard, ExportedVariable, exported_board
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import ServoConfig
 
 MODEL: Final = "servo_board"
 
@@ -105,7 +106,7 @@ def _build_description(files: Sequence[str], folders: Sequence[str]) -> bytes:
     return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def export_fmu(path: Path, plant: PlantConfig | None = None, seed: int = 1) -> None:
+def export_fmu(path: Path, plant: PlantConfig | None = None, seed: int = 1, servo: ServoConfig | None = None) -> None:
     """Compile a board for this machine and write it as FMU, its sources included.
 
     Parameters
@@ -116,6 +117,8 @@ def export_fmu(path: Path, plant: PlantConfig | None = None, seed: int = 1) -> N
         Start values of the parameters; the packaged plant by default.
     seed : int
         Seed of all random numbers.
+    servo : ServoConfig, optional
+        Configuration of the firmware; that of ``firmware/config/servo.toml`` by default.
 
     Raises
     ------
@@ -124,7 +127,7 @@ def export_fmu(path: Path, plant: PlantConfig | None = None, seed: int = 1) -> N
     OSError
         If the package is not in a checkout with the sources of the firmware, or the file cannot be written.
     """
-    with exported_board(MODEL, [NATIVE / "fmu" / "fmu.c"], plant, seed) as board:
+    with exported_board(MODEL, [NATIVE / "fmu" / "fmu.c"], plant, servo, seed) as board:
         description = _description(board.variables, board.token)
         write_file(path, lambda stream: _pack(stream, description, board))
 

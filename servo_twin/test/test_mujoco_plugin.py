@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from servo_msgs_py.catalogue import Catalogue
+from servo_tuning.reading import SERVO_TOML
 from servo_twin.cli import main
 from servo_twin.plant import PlantConfig
 
@@ -33,8 +34,12 @@ SEARCHED: Final = 2600  # steps until both rotors are found
 
 @pytest.fixture(scope="module", autouse=True)
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("plugin") / "servo.so"
-    assert main(["export", "--mujoco", str(path), "--seed", "3"]) == 0
+    """The plugin, with home switch and holding brake at axis 2."""
+    folder = tmp_path_factory.mktemp("plugin")
+    path, config = folder / "servo.so", folder / "servo.toml"
+    pins = "\n[axis2.pins]\nhome = true\nbrake = true\n"
+    config.write_text(SERVO_TOML.read_text(encoding="utf-8") + pins, encoding="utf-8")
+    assert main(["export", "--mujoco", str(path), "--seed", "3", "--config", str(config)]) == 0
     mujoco.mj_loadPluginLibrary(str(path))
     return path
 

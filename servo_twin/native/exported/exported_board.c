@@ -364,7 +364,9 @@ exported_result_t exported_points(const exported_t *exported, const exported_poi
 exported_result_t exported_start(exported_t *exported, double time)
 {
     exported->data.start = time;
-    exported->board = board_new(&exported->data.config);
+    board_config_t config = exported->data.config;
+    config.servo = exported_servo; /* not in the data, which are the same in every process */
+    exported->board = board_new(&config);
     if (exported->board == NULL) {
         return failed("no memory for another board", "initialization");
     }

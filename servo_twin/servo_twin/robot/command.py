@@ -21,6 +21,7 @@ from servo_msgs_py import argument
 from servo_twin.board import SimulationError
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import ServoConfig
 from servo_twin.view import scene
 from servo_twin.view.recording import check_writable, import_rerun
 
@@ -105,7 +106,7 @@ def load_on_line(name: str, plant: PlantConfig | None = None) -> RobotModel:
     return robot
 
 
-def export_mjcf(path: Path, plant: PlantConfig, seed: int) -> list[dict[str, object]]:
+def export_mjcf(path: Path, plant: PlantConfig, seed: int, servo: ServoConfig | None = None) -> list[dict[str, object]]:
     """Write a model with the motors of MuJoCo that are nearest to the axes of a board, and their errors.
 
     Parameters
@@ -116,6 +117,8 @@ def export_mjcf(path: Path, plant: PlantConfig, seed: int) -> list[dict[str, obj
         Motors and supply.
     seed : int
         Seed of the board.
+    servo : ServoConfig, optional
+        Configuration of the firmware; that of ``firmware/config/servo.toml`` by default.
 
     Returns
     -------
@@ -131,7 +134,7 @@ def export_mjcf(path: Path, plant: PlantConfig, seed: int) -> list[dict[str, obj
     """
     with _needs_mujoco():
         from servo_twin.robot.dcmotor import model_text, nearest
-    motors, errors = nearest(plant, seed)
+    motors, errors = nearest(plant, seed, servo)
     rows = [["axis", "move", "error rms [rad]", "largest [rad]"]]
     rows += [[e.axis, e.move, f"{e.rms:.5f}", f"{e.largest:.5f}"] for e in errors]
     table = "\n".join(["Angle of the motor against the firmware in mode TRAJECTORY:", *aligned(rows, "<<>")])

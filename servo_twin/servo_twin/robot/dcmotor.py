@@ -18,6 +18,7 @@ from servo_msgs_py.units import TICK
 from servo_twin.board import Board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.robot.coupling import Drive, RobotDrives
+from servo_twin.servo_config import ServoConfig
 
 _Array = NDArray[np.float64]
 
@@ -153,7 +154,7 @@ class Errors(NamedTuple):
     largest: float  # [rad]
 
 
-def nearest(plant: PlantConfig, seed: int) -> tuple[list[Nearest], list[Errors]]:
+def nearest(plant: PlantConfig, seed: int, servo: ServoConfig | None = None) -> tuple[list[Nearest], list[Errors]]:
     """Motor of each axis, whose gains give the smallest mean square error over all moves.
 
     Parameters
@@ -162,6 +163,8 @@ def nearest(plant: PlantConfig, seed: int) -> tuple[list[Nearest], list[Errors]]
         Motors and supply.
     seed : int
         Seed of the board.
+    servo : ServoConfig, optional
+        Configuration of the firmware; that of ``firmware/config/servo.toml`` by default.
 
     Raises
     ------
@@ -170,7 +173,7 @@ def nearest(plant: PlantConfig, seed: int) -> tuple[list[Nearest], list[Errors]]
     """
     motors, found = [], []
     for axis in range(AXES):
-        with Board(plant, seed=seed, level="ideal") as board:
+        with Board(plant, seed=seed, level="ideal", servo=servo) as board:
             true, motor = _fitted(board, axis)
         motors.append(motor)
         errors = [motor.moved(move) - angles for move, angles in zip(MOVES.values(), true, strict=True)]

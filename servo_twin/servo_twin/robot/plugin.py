@@ -12,12 +12,15 @@ from servo_msgs_py.output_file import write_file
 from servo_twin._build_native import NATIVE
 from servo_twin.exported_board import exported_board
 from servo_twin.plant import PlantConfig
+from servo_twin.servo_config import ServoConfig
 from servo_twin.simulation import SimulationError
 
 _LIBRARY: Final = "servo_board"
 
 
-def export_plugin(path: Path, plant: PlantConfig | None = None, seed: int = 1) -> None:
+def export_plugin(
+    path: Path, plant: PlantConfig | None = None, seed: int = 1, servo: ServoConfig | None = None
+) -> None:
     """Compile a board for the installed MuJoCo and write it as a plugin library.
 
     Parameters
@@ -28,6 +31,8 @@ def export_plugin(path: Path, plant: PlantConfig | None = None, seed: int = 1) -
         Values of the parameters that a model does not set; the packaged plant by default.
     seed : int
         Seed of all random numbers.
+    servo : ServoConfig, optional
+        Configuration of the firmware; that of ``firmware/config/servo.toml`` by default.
 
     Raises
     ------
@@ -45,5 +50,5 @@ def export_plugin(path: Path, plant: PlantConfig | None = None, seed: int = 1) -
         raise SimulationError(f"no libmujoco.so in {folder}; install the wheel: servo_twin[mujoco]")
     options: list[str | Path] = ["-isystem", folder / "include", library]
     shell = sorted((NATIVE / "mujoco").glob("*.c"))
-    with exported_board(_LIBRARY, shell, plant, seed, options) as board, board.library.open("rb") as compiled:
+    with exported_board(_LIBRARY, shell, plant, servo, seed, options) as board, board.library.open("rb") as compiled:
         write_file(path, lambda stream: shutil.copyfileobj(compiled, stream))
