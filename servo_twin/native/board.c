@@ -76,8 +76,24 @@ const char *board_drive_shaft(board_t *board, int axis, double theta, double ome
     if (board_has_second_mass(board, axis)) {
         return "the axis has a second mass (load_inertia), but who drives the shaft owns all inertia; set it to 0";
     }
+    driven_shaft_t *shaft = board_driven_shaft(board, axis);
+    shaft->braked = shaft->on && shaft->braked && truth.brake_holds != 0.0;
     board_drive_rotor(board, axis, theta, omega, seconds);
     return NULL;
+}
+
+double board_brake_torque(board_t *board, int axis, double inertia, double seconds)
+{
+    const plant_pins_t *pins = board_plant_pins(board, axis);
+    driven_shaft_t *shaft = board_driven_shaft(board, axis);
+    const bool valid = inertia > 0.0 && isfinite(inertia) && seconds > 0.0 && isfinite(seconds);
+    const bool acts = valid && shaft->on && pins->holds && pins->torque > 0.0;
+    return acts ? driven_shaft_brake(shaft, pins->torque, inertia, seconds) : 0.0;
+}
+
+unsigned board_pins(board_t *board, int axis)
+{
+    return (board_program_identity(board) != 0) ? ~0u : board_servo(board)->axis[axis].config->pins.fitted;
 }
 
 void board_table(uint32_t *address, uint32_t *size)

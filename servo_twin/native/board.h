@@ -178,11 +178,16 @@ void board_set_supply(board_t *board, double volts); /* open-circuit supply volt
 void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft locked */
 void board_obstruct_shaft(board_t *board, int axis, double below, double above); /* end stops, from here [rad] */
 
-/* Coupling with another simulator that owns the inertia of the shaft, its friction, load, end stops, holding brake and cogging: all
+/* Coupling with another simulator that owns the inertia of the shaft, its friction, load, end stops and cogging: all
  * of these have no effect in the board any more, and a lock or an obstruction of the shaft ends. Move the shaft from now on to angle
  * `theta` [rad] and speed `omega` [rad/s] in `seconds`, by a cubic; then it keeps this speed until the next call. The mean air-gap
  * torque of the step is the difference of impulse_e over its time. NULL, or why the motion is refused. */
 const char *board_drive_shaft(board_t *board, int axis, double theta, double omega, double seconds);
+
+/* Torque of the holding brake on a driven shaft, for the other simulator: it adds this to the air-gap torque in its next step of
+ * `seconds`. Call it once per step at the end of the motion. `inertia` is that of all that the shaft moves there [kg m^2]. 0: the brake
+ * is open, or there is none. */
+double board_brake_torque(board_t *board, int axis, double inertia, double seconds);
 void board_release_shaft(board_t *board, int axis); /* the board owns the shaft again, with its present motion */
 
 void board_set_encoder(board_t *board, int axis, int connected); /* 0: both lines stuck low */
@@ -205,6 +210,9 @@ typedef enum {
     BOARD_PIN_ENABLE,
     BOARD_PIN_BRAKE
 } board_pin_t;
+
+/* Pins that the firmware uses, a bit per board_pin_t; all of them if another program runs. */
+unsigned board_pins(board_t *board, int axis);
 
 /* Faults of the hardware. `part` is a phase (0, 1, 2) or an encoder line (0: A, 1: B). */
 typedef enum {

@@ -161,6 +161,10 @@ void board_release_shaft(board_t *board, int axis) { plant_release_shaft(&board-
 
 bool board_has_second_mass(const board_t *board, int axis) { return board->chip.plant.axis[axis].shaft.two_masses; }
 
+driven_shaft_t *board_driven_shaft(board_t *board, int axis) { return &drive_of(board, axis)->driven; }
+
+const plant_pins_t *board_plant_pins(const board_t *board, int axis) { return &board->chip.plant.axis[axis].pins; }
+
 void board_reverse_encoder(board_t *board, int axis)
 {
     plant_drive_t *drive = drive_of(board, axis);

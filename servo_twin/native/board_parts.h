@@ -9,6 +9,8 @@
 #include "board.h"
 #include "comm/recorder.h"
 #include "flash.h"
+#include "plant/driven_shaft.h"
+#include "plant/pins.h"
 
 /* A part of struct board that its image leaves out. Of a ring buffer the image contains the bytes in use. */
 typedef struct {
@@ -97,6 +99,8 @@ void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool clea
 /* Drive the shaft of an axis without a second mass: parameters as board_drive_shaft. */
 void board_drive_rotor(board_t *board, int axis, double theta, double omega, double seconds);
 bool board_has_second_mass(const board_t *board, int axis);
+driven_shaft_t *board_driven_shaft(board_t *board, int axis);
+const plant_pins_t *board_plant_pins(const board_t *board, int axis);
 
 /* Temperature of a winding of the plant from now on [deg C]. */
 void board_warm_winding(board_t *board, int axis, double celsius);

@@ -548,6 +548,10 @@ void board_release_shaft(board_t *board, int axis)
 
 bool board_has_second_mass(const board_t *board, int axis) { return board->plant.shaft[axis].two_masses; }
 
+driven_shaft_t *board_driven_shaft(board_t *board, int axis) { return &board->plant.axis[axis].driven; }
+
+const plant_pins_t *board_plant_pins(const board_t *board, int axis) { return &board->pins[axis]; }
+
 void board_warm_winding(board_t *board, int axis, double celsius)
 {
     switching_warm_winding(&board->plant, axis, celsius);

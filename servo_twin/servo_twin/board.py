@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +35,7 @@ from servo_twin.board_memory import OUT_OF_RANGE, BoardError, BoardMemory, Simul
 from servo_twin.board_sampler import BoardSampler
 from servo_twin.board_state import BoardState
 from servo_twin.core_speed import CoreSpeed
-from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
+from servo_twin.fault_injection import PINS, ChangedValue, InjectedFault, NativeFault, Pin
 from servo_twin.level import ELF_LEVEL, ELF_VARIABLE, Level, chosen_elf, chosen_level
 from servo_twin.plant import FIXED_NAMES, PlantConfig, PlantError
 from servo_twin.servo_config import ServoConfig
@@ -777,8 +778,9 @@ class Board:
     def drive_shaft(self, axis: int, theta: float, omega: float, seconds: float) -> None:
         """Move the shaft to an angle and a speed from outside: another simulator owns its inertia (doc/coupling.md).
 
-        From now on load, friction, end stops, holding brake and cogging of the plant have no effect on this axis. The
-        mean air-gap torque of the step is the difference of `Truth.impulse_e` over its time.
+        From now on load, friction, end stops and cogging of the plant have no effect on this axis. The mean air-gap
+        torque of the step is the difference of `Truth.impulse_e` over its time; the other simulator adds
+        `brake_torque`.
 
         Parameters
         ----------
@@ -798,6 +800,36 @@ class Board:
         problem = self._lib.board_drive_shaft(self._board, _axis_index(axis), theta, omega, seconds)
         if problem != self._ffi.NULL:
             raise BoardError(f"{axis_name(axis)}: {self._ffi.string(problem).decode()}")
+
+    def brake_torque(self, axis: int, inertia: float, seconds: float) -> float:
+        """Torque of the holding brake on a driven shaft in the next step of the other simulator [N m].
+
+        To be called once per step, at the end of the motion. The brake holds the shaft like a stiff spring with a
+        damper, which slips at the torque in the plant file; 0 while it is open.
+
+        Parameters
+        ----------
+        axis : int
+            Index of the axis.
+        inertia : float
+            Inertia of all that the shaft moves, at the shaft [kg m^2].
+        seconds : float
+            Duration of the step [s].
+
+        Raises
+        ------
+        BoardError
+            If inertia or duration are not above 0, or not finite.
+        """
+        index = _axis_index(axis)
+        if not (0.0 < inertia < math.inf and 0.0 < seconds < math.inf):
+            raise BoardError(f"{axis_name(axis)}: {inertia:g} kg m^2 in {seconds:g} s; both are above 0 and finite")
+        return float(self._lib.board_brake_torque(self._board, index, inertia, seconds))
+
+    def pins(self, axis: int) -> frozenset[Pin]:
+        """Pins that the firmware uses; all of them if another program runs."""
+        bits = self._lib.board_pins(self._board, _axis_index(axis))
+        return frozenset(pin for k, pin in enumerate(PINS) if bits >> k & 1)
 
     def release_shaft(self, axis: int) -> None:
         """End `drive_shaft`: the board owns the shaft again, with its present motion."""

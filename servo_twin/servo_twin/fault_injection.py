@@ -22,7 +22,7 @@ Pin = Literal["home", "limit_min", "limit_max", "enable", "brake"]
 
 _PHASES: Final = "abc"
 _LINES: Final = "AB"
-_PINS: Final = get_args(Pin)
+PINS: Final = get_args(Pin)
 _SLIP_MAX: Final = 1_000_000
 
 
@@ -195,9 +195,9 @@ class CutWire:
     pin: Pin
 
     def raw(self) -> RawFault:
-        if self.pin not in _PINS:
-            raise ValueError(f"pin {self.pin!r} is none of {', '.join(_PINS)}")
-        return RawFault("BOARD_CUT_WIRE", _axis(self.axis), _PINS.index(self.pin))
+        if self.pin not in PINS:
+            raise ValueError(f"pin {self.pin!r} is none of {', '.join(PINS)}")
+        return RawFault("BOARD_CUT_WIRE", _axis(self.axis), PINS.index(self.pin))
 
 
 @dataclass(frozen=True)

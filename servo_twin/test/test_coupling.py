@@ -147,6 +147,40 @@ def test_driven_shaft_belongs_to_the_state() -> None:
         assert copy.state() == board.state()
 
 
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 10.0])  # of the true inertia to the given one
+def test_brake_holds_a_driven_shaft_and_slips_at_its_torque(ratio: float) -> None:
+    """The host is a semi-implicit Euler integrator of one inertia."""
+    given, step_ns, limit = 1e-4, 16 * PERIOD_NS, 0.1
+    step = step_ns * 1e-9
+    with Board(PlantConfig.load().with_value("axis1.pins.brake_torque", limit), seed=4) as board:
+        board.run(0.01)
+        board.connect_motor(AXIS, False)
+        theta, omega, torque = board.truth(AXIS).theta_m, 0.0, 0.0
+        held, ends = theta + 0.5 * limit / (ratio * given) * step**2, []  # the first step is without the brake
+        for load in (0.5 * limit, 1.2 * limit, 0.0):
+            for _ in range(600):
+                omega += (torque + load) / (ratio * given) * step
+                theta += omega * step
+                board.drive_shaft(AXIS, theta, omega, step)
+                board.advance(board.time_ns + step_ns)
+                torque = board.brake_torque(AXIS, given, step)
+                assert abs(torque) <= limit
+            ends.append((theta, omega))
+        assert ends[0][0] == pytest.approx(held + 0.5 * limit / (0.086 * given / step**2), abs=1e-7)
+        assert ends[1][1] == pytest.approx(0.2 * limit / (ratio * given) * 600 * step, rel=0.03)
+        assert (ends[0][1], ends[2][1]) == pytest.approx((0.0, 0.0), abs=1e-5)
+        board.release_shaft(AXIS)
+        board.drive_shaft(AXIS, theta - 1.0, 0.0, step)
+        board.advance(board.time_ns + step_ns)
+        assert board.brake_torque(AXIS, given, step) == 0.0  # it holds where it was closed anew
+
+
+@pytest.mark.parametrize(("inertia", "seconds"), [(math.nan, 1e-3), (0.0, 1e-3), (math.inf, 1e-3), (1e-4, math.nan)])
+def test_brake_of_no_inertia_or_time_is_refused(inertia: float, seconds: float) -> None:
+    with Board(seed=4) as board, pytest.raises(BoardError, match=r"axis1: .* both are above 0 and finite"):
+        board.brake_torque(AXIS, inertia, seconds)
+
+
 @pytest.mark.parametrize(
     ("motion", "changes", "message"),
     [

@@ -27,7 +27,10 @@ from mujoco import rollout
 PLANT: Final = PlantConfig.load()
 GEAR: Final = 100.0
 PATH_DELAY: Final = 12  # steps of 0.5 ms
-SENSORS: Final = "axis1.state axis1.substate axis1.faults axis1.home_state axis2.speed truth.axis2.torque_e u_dc"
+SENSORS: Final = (
+    "axis1.state axis1.substate axis1.faults axis1.home_state axis2.speed truth.axis2.torque_e u_dc "
+    "truth.axis2.brake_holds"
+)
 STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 SEARCHED: Final = 2600  # steps until both rotors are found
 
@@ -309,6 +312,32 @@ def test_faults_and_supply_change_during_the_run_and_belong_to_the_state(warning
     assert board(data)["u_dc"] == pytest.approx(PLANT.bus.u_source, abs=0.5)
 
 
+def brake(torque: float) -> str:
+    return f'<config key="plant.axis2.brake_torque" value="{torque}"/>'
+
+
+def test_holding_brake_holds_its_joint_without_supply(warnings: list[str]) -> None:
+    """The forearm is lifted; then the supply fails, and the brake holds it, also in a restored state."""
+    inputs = '<config key="inputs" value="supply.u_source"/>'
+    model, data = started(arm(config=brake(0.1) + inputs).replace("<extension>", '<size nuserdata="1"/><extension>'))
+    run(model, data, 2000, lambda _: [0.0, 100.0])
+    assert GEAR * data.qpos[1] == pytest.approx(100.0, abs=0.1)
+    data.userdata[0] = -PLANT.bus.u_source
+    assert board(data)["truth.axis2.brake_holds"] == 0.0
+    run(model, data, 6000)
+    assert board(data)["truth.axis2.brake_holds"] == 1.0
+    angle, state = data.qpos[1], np.empty(mujoco.mj_stateSize(model, STATE))
+    assert angle == pytest.approx(1.0, abs=0.02)
+    mujoco.mj_getState(model, data, state, STATE)
+    run(model, data, 400)
+    assert data.qpos[1] == pytest.approx(angle, abs=1e-3)  # the other joint swings
+    other = mujoco.MjData(model)
+    mujoco.mj_setState(model, other, state, STATE)
+    run(model, other, 400)
+    assert bits(other) == bits(data)
+    assert warnings == []
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -336,7 +365,15 @@ def test_faults_and_supply_change_during_the_run_and_belong_to_the_state(warning
         (arm(config='<config key="inputs" value="axis1.speed"/>'), "inputs: does not change during the run"),
         (arm(config='<config key="inputs" value="supply.u_source"/>'), 'write <size nuserdata="1"/>'),
         (arm(config='<config key="userdata" value="-1"/>'), "'userdata': not the index"),
-        (arm(config='<config key="plant.axis1.brake_torque" value="1"/>'), "'shoulder': the holding brake"),
+        (arm(config='<config key="plant.axis1.brake_torque" value="1"/>'), "'shoulder': the plant has a holding brake"),
+        (
+            arm(config='<config key="axis1.home" value="SWITCH_POSITIVE"/>'),
+            "'shoulder': homing to a switch, but the f",
+        ),
+        (
+            arm(config='<config key="axis2.home" value="SWITCH_POSITIVE"/>'),
+            "'elbow': homing to a switch, but the p",
+        ),
         (arm(config='<config key="plant.axis3.r_s" value="1"/>'), "unrecognized attribute"),
         (arm().replace(f'armature="{PLANT.axes[0].inertia * GEAR**2}"', ""), 'write armature="0.08"'),
     ],

@@ -277,9 +277,9 @@ def test_model_that_does_not_fit_is_refused(model: dict[str, Any], drives: list[
         RobotDrives(one, mujoco.MjData(one), board, drives)
 
 
-def test_holding_brake_is_refused() -> None:
+def test_holding_brake_that_the_firmware_does_not_open_is_refused() -> None:
     model = joint_model()
     with Board(PLANT.with_value("axis1.pins.brake_torque", 0.1), seed=4) as board:
         data = mujoco.MjData(model)
-        with pytest.raises(CouplingError, match="set brake_torque = 0"):
+        with pytest.raises(CouplingError, match=r"'motor': the firmware does not open .* write brake = true"):
             RobotDrives(model, data, board, [Drive("motor", 0)])

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from servo_msgs_py.board_port import active, read_axis
+from servo_msgs_py.board_port import active, place, read_axis
 from servo_twin.cli import main
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
@@ -69,6 +69,47 @@ def test_end_stop_and_switch_of_the_model_are_found() -> None:
     drives.data.ctrl[1] = -25.0  # beyond the limit switch at -22
     drives.wait(1.0)
     assert active(board, 1) == {"LIMIT_SWITCH"}
+
+
+@both_levels
+def test_holding_brake_holds_a_vertical_axis() -> None:
+    """Before the search, disabled, without supply, and after a state was restored; above its torque it slips."""
+    drives = load("lift").robot(PLANT, level=present_level())
+    board, data, height = drives.boards[0], drives.data, drives.data.qpos
+    least = 1e-4  # a tenth of a millimetre is 0.1 rad of the motor
+    drives.wait(0.1)
+    assert height[0] == pytest.approx(0.0, abs=least)
+    drives.enable()
+    assert not board.truth(0).brake_holds
+    board.write("cmd.enable", [0, 0])
+    drives.wait(1.5)  # position hold, then the brake closes
+    assert place(board, 0) == "STOP"
+    assert board.truth(0).brake_holds
+    held, state = height[0], drives.state()
+    ends = []
+    for _ in range(2):
+        drives.wait(0.2)
+        ends.append(drives.state().simulator.tobytes())
+        assert height[0] == pytest.approx(held, abs=1e-6)
+        drives.restore(state)
+    assert ends[0] == ends[1]
+    data.xfrc_applied[1, 2] = -200.0  # twice the torque of the brake
+    drives.wait(0.05)
+    assert height[0] < held - 0.01
+    data.xfrc_applied[1, 2] = 0.0
+    drives.wait(0.2)
+    assert data.qvel[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_holding_brake_holds_without_supply() -> None:
+    drives = load("lift").robot(PLANT, level="ideal")
+    drives.enable()
+    held = drives.data.qpos[0]
+    drives.boards[0].set_supply(0.0)
+    drives.wait(2.0)
+    assert "UNDER_VOLTAGE" in active(drives.boards[0], 0)
+    assert held - 2e-3 < drives.data.qpos[0] < held  # free fall until the brake has closed
+    assert drives.data.qvel[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_pendulum_stands() -> None:
@@ -137,6 +178,19 @@ def mjcf(tmp_path: Path) -> Any:
         ('timestep="0.0005"', 'timestep="0.0003"', "time step 0.0003 s .* not a multiple"),
         ("<custom>", '<custom><text name="servo.home.axis1" data="UP"/>', "no method UP; write NONE, HERE"),
         ("<custom>", '<custom><text name="servo.home.x" data="HERE"/>', "'x' is no axis"),
+        (
+            "<custom>",
+            '<custom><text name="servo.home.axis2" data="SWITCH_NEGATIVE"/>',
+            r"'elbow': .* the firmware has no home switch; write home = true in \[axis2.pins\]",
+        ),
+        (
+            "<custom>",
+            (
+                '<custom><text name="servo.home.axis2" data="SWITCH_NEGATIVE"/>'
+                '<text name="servo.config.axis2.pins.home" data="true"/>'
+            ),
+            "'elbow': .* the plant has no home switch; write its angles",
+        ),
         (
             "<custom>",
             '<custom><text name="servo.plant.axis1.inertia" data="x"/>',

@@ -18,6 +18,21 @@ void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta
     *omega = gear * d->qvel[m->jnt_dofadr[joint]];
 }
 
+double drive_inertia(const mjModel *m, mjData *d, int actuator)
+{
+    const int dof = m->jnt_dofadr[m->actuator_trnid[2 * actuator]];
+    const double gear = m->actuator_gear[6 * actuator];
+    mj_markStack(d);
+    mjtNum *force = mj_stackAllocNum(d, (size_t)m->nv);
+    mjtNum *acceleration = mj_stackAllocNum(d, (size_t)m->nv);
+    mju_zero(force, (int)m->nv);
+    force[dof] = gear;
+    mj_solveM(m, d, acceleration, force, 1);
+    const double inertia = 1.0 / (gear * acceleration[dof]);
+    mj_freeStack(d);
+    return inertia;
+}
+
 static double torque_constant(const exported_t *board, const drive_t *drive, int axis)
 {
     board_truth_t truth;

@@ -35,7 +35,7 @@ enum {
 
 /* State of a drive. */
 typedef struct {
-    double torque; /* mean of the last step [N m] */
+    double torque; /* for the next step: mean of the air gap in the last one, and of the holding brake [N m] */
     double zero; /* control signal minus set-point of the firmware, for angles [rad]; NaN: not in RUN/SPIN yet */
     uint64_t homing; /* HOMING_* */
     uint64_t path; /* PATH_*: the control signal is sent as points */
@@ -44,6 +44,9 @@ typedef struct {
 
 /* Angle [rad] and speed [rad/s] of the motor of an actuator. */
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega);
+
+/* Inertia of all that the motor of an actuator moves, at its shaft [kg m^2]. */
+double drive_inertia(const mjModel *m, mjData *d, int actuator);
 
 /* Enable the axis, wait until its rotor is found, home it, then give it the control signal. */
 void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,

@@ -248,7 +248,28 @@ const char *model_configure(const mjModel *m, int instance, exported_t *board, c
     return NULL;
 }
 
-/* The rotors of the axes at the joint of an actuator are in its inertia; the brake of a plant does not act on it. */
+/* The devices at the pins of an axis that the firmware needs, or that need the firmware. */
+static const char *check_pins(const model_t *model, const exported_t *board, int axis)
+{
+    const drive_t *drive = &model->drive[axis];
+    const unsigned pins = board_pins(exported_board(board), axis);
+    const bool to_switch = drive->home == HOME_METHOD_SWITCH_POSITIVE || drive->home == HOME_METHOD_SWITCH_NEGATIVE;
+    if (to_switch && (pins & (1u << BOARD_PIN_HOME)) == 0u) {
+        return "homing to a switch, but the firmware has none; write home = true in [axisN.pins] of a servo.toml and export "
+               "the plugin with --config";
+    }
+    if (to_switch &&
+        exported_number(board, of_plant(axis, "home_from")) > exported_number(board, of_plant(axis, "home_to"))) {
+        return "homing to a switch, but the plant has none; write its angles plant.axisN.home_from and .home_to";
+    }
+    if (exported_number(board, of_plant(axis, "brake_torque")) > 0.0 && (pins & (1u << BOARD_PIN_BRAKE)) == 0u) {
+        return "the plant has a holding brake that the firmware does not open; write brake = true in [axisN.pins] of a "
+               "servo.toml and export the plugin with --config, or set brake_torque to 0";
+    }
+    return NULL;
+}
+
+/* The rotors of the axes at the joint of an actuator are in its inertia. */
 static const char *check_joint(const mjModel *m, model_t *model, const exported_t *board, int axis)
 {
     const int joint = m->actuator_trnid[2 * model->drive[axis].actuator];
@@ -265,9 +286,7 @@ static const char *check_joint(const mjModel *m, model_t *model, const exported_
                        "the joint has less than the inertia of its rotors; write armature=\"%g\"", least);
         return model->text;
     }
-    return (exported_number(board, of_plant(axis, "brake_torque")) > 0.0)
-               ? "the holding brake of the plant does not act on a joint of MuJoCo; set its brake_torque to 0"
-               : NULL;
+    return NULL;
 }
 
 bool model_step(const mjModel *m, uint64_t period_ns, uint64_t *step_ns)
@@ -299,11 +318,17 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
     problem = (problem == NULL) ? model_take_sensors(m, instance, &model->sensors, where) : problem;
     problem = (problem == NULL) ? model_configure(m, instance, board, where) : problem;
     problem = (problem == NULL) ? take_inputs(m, instance, model, board, where) : problem;
+    if (problem == NULL) { /* for the pins of the firmware; the first step configures it anew */
+        const exported_result_t started = exported_start(board, 0.0);
+        problem = (started.status == EXPORTED_DONE) ? NULL : started.what;
+        *where = (problem == NULL) ? *where : started.where;
+    }
     for (int axis = 0; axis < AXES; axis++) {
         drive_t *drive = &model->drive[axis];
         if (problem == NULL && drive->actuator >= 0) {
             *where = m->names + m->name_actuatoradr[drive->actuator];
             problem = check_joint(m, model, board, axis);
+            problem = (problem == NULL) ? check_pins(model, board, axis) : problem;
         }
         drive->state = of_axis(axis, "state");
         drive->substate = of_axis(axis, "substate");

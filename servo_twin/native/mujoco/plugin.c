@@ -1,8 +1,8 @@
 /* A board as actuators and sensors of MuJoCo: plugin `servo.board` (servo_twin/doc/coupling.md).
  *
- * MuJoCo owns the joint with its inertia, friction and stops; the board has electronics, firmware and air-gap torque. The complete
- * board is in the plugin's state, so that every function of MuJoCo that copies a state copies the board. The memory of an instance is
- * a cache: the model, and a board that is as its last state.
+ * MuJoCo owns the joint with its inertia, friction and stops; the board has electronics, firmware, air-gap torque and
+ * holding brake. The complete board is in the plugin's state, so that every function of MuJoCo that copies a state copies
+ * the board. The memory of an instance is a cache: the model, and a board that is as its last state.
  */
 #include <math.h>
 #include <pthread.h>
@@ -280,6 +280,10 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
     for (int axis = 0; axis < AXES; axis++) {
         board_truth(board, axis, &truth);
         head.axis[axis].torque = (truth.impulse_e - before[axis]) / m->opt.timestep;
+        if (truth.brake_holds != 0.0 && own->model.drive[axis].actuator >= 0) {
+            head.axis[axis].torque +=
+                board_brake_torque(board, axis, drive_inertia(m, d, own->model.drive[axis].actuator), m->opt.timestep);
+        }
     }
     save(m, d, instance, head);
 }

@@ -1,6 +1,7 @@
 """Joints of a MuJoCo model, driven by the axes of virtual boards (servo_twin/doc/coupling.md).
 
-MuJoCo owns the joint with its whole inertia, friction and stops, the board electronics, firmware and air-gap torque.
+MuJoCo owns the joint with its whole inertia, friction and stops, the board electronics, firmware, air-gap torque and
+holding brake.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from servo_msgs_py.units import PERIOD_NS, TICK_NS
 
 from servo_twin.board import Board, BoardError
 from servo_twin.board_state import BoardState
+from servo_twin.fault_injection import Pin
 from servo_twin.simulation import SEARCH_MAX, SimulationError, enable
 
 Mode = Literal["POSITION", "SPEED", "TORQUE", "TRAJECTORY"]
@@ -34,6 +36,7 @@ _VARIABLES: Final[dict[Mode, str]] = {"POSITION": "cmd.position", "SPEED": "cmd.
 _ANGLES: Final = ("POSITION", "TRAJECTORY")
 _POINT_NS: Final = 2_000_000  # shortest time between two points of a path [ns]
 _AHEAD_NS: Final = 2_000_000  # from the arrival of a point until its predecessor is reached; the board needs 1.5 ms
+_TO_SWITCH: Final = "SWITCH_"  # beginning of methods of homing
 _HOMING_MAX: Final = 60.0  # duration of a homing [s]
 _INERTIA_TOLERANCE: Final = 0.01  # largest relative difference between armature and inertia of the plant
 _TIME_TOLERANCE: Final = 1e-9  # [s]
@@ -78,7 +81,7 @@ class RobotDrives:
     """Boards whose axes move joints of a MuJoCo model.
 
     Each actuator is ``<general joint=... gear=... dyntype="user" armature=.../>``: `gear` is the ratio of the gearbox,
-    `armature` the inertia of the rotor, `mjData.act` the torque at the shaft of the motor, and `mjData.ctrl` the
+    `armature` the inertia of the rotor, `mjData.act` the torque of motor and holding brake, and `mjData.ctrl` the
     set-point (see `Mode`). Length and velocity of an actuator are angle and speed of the motor.
 
     Parameters
@@ -114,6 +117,12 @@ class RobotDrives:
             [model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-math.inf, math.inf) for i in ids]
         ).reshape(-1, 2)
         self._where = [(self.boards[drive.axis // AXES], drive.axis % AXES) for drive in self.drives]
+        dofs = [int(model.jnt_dofadr[joint]) for joint in joints]
+        self._brakes = [
+            (k, dof)
+            for k, (dof, (board, axis)) in enumerate(zip(dofs, self._where, strict=True))
+            if board.plant.axes[axis].pins.brake_torque > 0.0
+        ]  # drive and degree of freedom
         lengths = self.lengths()
         self._offset = np.array([board.truth(axis).theta_m for board, axis in self._where]) - lengths
         # Of each drive: length at position 0 of the firmware [rad], NaN before `align`; the control signal of mode
@@ -155,7 +164,7 @@ class RobotDrives:
         return np.asarray(self.gear * self.data.qvel[self._qvel])
 
     def torques(self) -> _Array:
-        """Mean torques of the motors in the last step [N m]."""
+        """Torques of motors and holding brakes in the next step [N m]; of a motor its mean in the last one."""
         return np.array(self.data.act[self._act])
 
     # ---- time -------------------------------------------------------------------------------------------------------
@@ -183,6 +192,17 @@ class RobotDrives:
         self._ends = {}
         after = [board.impulse(axis) for board, axis in self._where]
         self.data.act[self._act] = np.subtract(after, self._impulses) / (self.step_ns * 1e-9)
+        for k, dof in self._brakes:
+            board, axis = self._where[k]
+            if board.truth(axis).brake_holds:
+                self.data.act[self._act[k]] += board.brake_torque(axis, self._inertia(k, dof), self.step_ns * 1e-9)
+
+    def _inertia(self, k: int, dof: int) -> float:
+        """Inertia of all that a motor moves, at its shaft [kg m^2]."""
+        force, acceleration = np.zeros((1, self.model.nv)), np.zeros((1, self.model.nv))
+        force[0, dof] = self.gear[k]
+        mujoco.mj_solveM(self.model, self.data, acceleration, force)
+        return float(1.0 / (self.gear[k] * acceleration[0, dof]))
 
     def end_ns(self, board: Board) -> int:
         """End of the present step of a board [ns], see `servo_twin.board.Leader`."""
@@ -316,10 +336,14 @@ class RobotDrives:
 
         Raises
         ------
+        CouplingError
+            If the method needs a home switch, and plant or firmware has none.
         SimulationError
             If the firmware does not find its reference.
         """
         board, axis = self._where[drive]
+        where = f"actuator '{self.drives[drive].actuator}'"
+        check_home_switch(board, self.drives[drive], method)
         self._numbers[0, drive] = math.nan  # a set-point would end the homing
         choose(board, "cmd.home", axis, method)
 
@@ -329,7 +353,6 @@ class RobotDrives:
         board.wait(0.01)
         if not reached(board, lambda: result() != "RUNNING", _HOMING_MAX, 0.01) or result() != "DONE":
             faults = ", ".join(sorted(active(board, axis)))
-            where = f"actuator '{self.drives[drive].actuator}'"
             raise SimulationError(f"{where}: homing {method} ends with {result()}" + (f"; {faults}" if faults else ""))
         self.align()
 
@@ -442,16 +465,37 @@ def _actuator(model: Any, boards: Sequence[Board], drive: Drive) -> int:
             f'{where}: the torque of the motor is its activation; write <general dyntype="user" actdim="1" ...> '
             "without gain and bias"
         )
-    plant = boards[drive.axis // AXES].plant.axes[drive.axis % AXES]
+    board, axis = boards[drive.axis // AXES], drive.axis % AXES
+    plant = board.plant.axes[axis]
     armature = float(model.actuator_armature[actuator])
     if not math.isclose(armature, plant.inertia, rel_tol=_INERTIA_TOLERANCE):
         raise CouplingError(
             f"{where}: armature {armature:g} kg m^2 is not the inertia of {axis_name(drive.axis)} in the plant; "
             f'write armature="{plant.inertia:g}", or change inertia in the plant file'
         )
-    if plant.pins.brake_torque > 0.0:
-        raise CouplingError(
-            f"{where}: the holding brake of {axis_name(drive.axis)} does not act on a joint of MuJoCo; "
-            "set brake_torque = 0 in the plant file"
-        )
+    if plant.pins.brake_torque > 0.0 and "brake" not in board.pins(axis):
+        raise CouplingError(f"{where}: the firmware does not open the holding brake; {_pin_remedy(drive, 'brake')}")
     return int(actuator)
+
+
+def check_home_switch(board: Board, drive: Drive, method: str) -> None:
+    """Refuse a homing to a switch that firmware or plant of a drive does not have (`CouplingError`)."""
+    if not method.startswith(_TO_SWITCH):
+        return
+    where, axis = f"actuator '{drive.actuator}': homing {method}", drive.axis % AXES
+    pins = board.plant.axes[axis].pins
+    if "home" not in board.pins(axis):
+        raise CouplingError(f"{where}: the firmware has no home switch; {_pin_remedy(drive, 'home')}")
+    if pins.home_from > pins.home_to:
+        raise CouplingError(
+            f"{where}: the plant has no home switch; write its angles home_from and home_to in "
+            f"[{axis_name(axis)}.pins] of the plant file, or in the model "
+            f'<text name="servo.plant.{axis_name(drive.axis)}.pins.home_from" .../>'
+        )
+
+
+def _pin_remedy(drive: Drive, pin: Pin) -> str:
+    return (
+        f"write {pin} = true in [{axis_name(drive.axis % AXES)}.pins] of servo.toml, or in the model "
+        f'<text name="servo.config.{axis_name(drive.axis)}.pins.{pin}" data="true"/>'
+    )

@@ -23,7 +23,7 @@ from servo_twin.board import Board
 from servo_twin.lockstep.axis_alignment import ShaftPosition
 from servo_twin.plant import PlantConfig
 from servo_twin.robot.command import EXAMPLES
-from servo_twin.robot.coupling import CouplingError, Drive, Mode, RobotDrives
+from servo_twin.robot.coupling import CouplingError, Drive, Mode, RobotDrives, check_home_switch
 from servo_twin.servo_config import ServoConfig, servo_table
 
 _PREFIX: Final = "servo."
@@ -160,7 +160,11 @@ class RobotModel:
             If a drive does not fit the model, or a value of the file is not valid.
         """
         data = self.start()
-        return RobotDrives(self.model, data, self._boards(plant, data, settings), self.drives)
+        boards = self._boards(plant, data, settings)
+        for drive in self.drives:
+            if drive.axis in self.homing:
+                check_home_switch(boards[drive.axis // AXES], drive, self.homing[drive.axis])
+        return RobotDrives(self.model, data, boards, self.drives)
 
     def on_line(self, plant: PlantConfig, **settings: Any) -> RobotDrives:
         """As `robot`, but a host at the serial line commands the only board, and the motion begins now.
