@@ -338,6 +338,26 @@ def test_holding_brake_holds_its_joint_without_supply(warnings: list[str]) -> No
     assert warnings == []
 
 
+def test_boards_do_not_share_inputs() -> None:
+    def model(first: int, names: str = "supply.u_source axis1.fault.heat") -> Any:
+        inputs = '<config key="inputs" value="supply.u_source axis1.fault.heat"/>'
+        other = f'<config key="inputs" value="{names}"/><config key="userdata" value="{first}"/>'
+        text = arm(axis1="shoulder", axis2="", config=inputs).replace("<extension>", '<size nuserdata="9"/><extension>')
+        text = text.replace("</instance>", f'</instance><instance name="second">{other}</instance>', 1)
+        elbow = 'joint="elbow" gear="100.0" plugin="servo.board" instance='
+        text = text.replace(f'armature="{PLANT.axes[1].inertia * GEAR**2}"', 'armature="0.2"')
+        return mujoco.MjModel.from_xml_string(text.replace(f'{elbow}"board"', f'{elbow}"second"'))
+
+    message = (
+        "'inputs': the inputs are entries 0 .. 1 of mjData.userdata, those of instance 'second' 1 .. 2; "
+        'write <config key="userdata" value="3"/> and <size nuserdata="5"/>'
+    )
+    with pytest.raises(ValueError, match=re.escape(message)):
+        model(1)
+    model(2)
+    model(1, "")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

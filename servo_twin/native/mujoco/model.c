@@ -194,15 +194,48 @@ const char *model_take_sensors(const mjModel *m, int instance, names_t *sensors,
     return take_names(config(m, instance, "sensors"), sensors, where);
 }
 
+/* Index of an instance's first entry of mjData.userdata; -1: it is none. */
+static long first_of(const mjModel *m, int instance)
+{
+    const char *text = config(m, instance, "userdata");
+    char *end;
+    const long index = strtol(text, &end, 10);
+    return (*end == '\0' && index >= 0 && index <= INT32_MAX) ? index : -1;
+}
+
+/* Two boards with one entry of mjData.userdata would change together. NULL, or which instance has an entry already. */
+static const char *refuse_shared(const mjModel *m, int instance, model_t *model)
+{
+    const long first = model->userdata;
+    const long end = first + model->inputs.count;
+    for (int k = 0; k < m->nplugin; k++) {
+        names_t names;
+        const char *where;
+        if (k != instance && m->plugin[k] == m->plugin[instance] &&
+            take_names(config(m, k, "inputs"), &names, &where) == NULL) {
+            const long other = first_of(m, k);
+            if (names.count > 0 && other < end && first < other + names.count) {
+                const char *name = mj_id2name(m, mjOBJ_PLUGIN, k);
+                (void)snprintf(
+                    model->text, sizeof model->text,
+                    "the inputs are entries %ld .. %ld of mjData.userdata, those of instance '%s' %ld .. %ld; "
+                    "write <config key=\"userdata\" value=\"%ld\"/> and <size nuserdata=\"%ld\"/>",
+                    first, end - 1, (name != NULL) ? name : "", other, other + names.count - 1, other + names.count,
+                    other + names.count + model->inputs.count);
+                return model->text;
+            }
+        }
+    }
+    return NULL;
+}
+
 /* Quantities that change during the run. */
 static const char *take_inputs(const mjModel *m, int instance, model_t *model, const exported_t *board,
                                const char **where)
 {
     const char *problem = take_names(config(m, instance, "inputs"), &model->inputs, where);
-    const char *first = config(m, instance, "userdata");
-    char *end;
-    const long index = strtol(first, &end, 10);
-    if (problem == NULL && (*end != '\0' || index < 0 || index > INT32_MAX)) {
+    const long index = first_of(m, instance);
+    if (problem == NULL && index < 0) {
         *where = "userdata";
         return "not the index of an entry of mjData.userdata";
     }
@@ -221,6 +254,10 @@ static const char *take_inputs(const mjModel *m, int instance, model_t *model, c
             return model->text;
         }
         model->start[i] = exported_number(board, one->reference);
+    }
+    if (problem == NULL && model->inputs.count > 0) {
+        *where = "inputs";
+        problem = refuse_shared(m, instance, model);
     }
     return problem;
 }
