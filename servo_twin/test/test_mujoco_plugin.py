@@ -394,6 +394,7 @@ def test_boards_do_not_share_inputs() -> None:
             arm(config='<config key="axis2.home" value="SWITCH_POSITIVE"/>'),
             "'elbow': homing to a switch, but the p",
         ),
+        (arm(config='<config key="level" value="registers"/>'), "'level': the plugin has a board at level ideal"),
         (arm(config='<config key="plant.axis3.r_s" value="1"/>'), "unrecognized attribute"),
         (arm().replace(f'armature="{PLANT.axes[0].inertia * GEAR**2}"', ""), 'write armature="0.08"'),
     ],

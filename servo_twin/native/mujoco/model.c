@@ -336,6 +336,11 @@ bool model_step(const mjModel *m, uint64_t period_ns, uint64_t *step_ns)
 const char *model_take(const mjModel *m, int instance, model_t *model, exported_t *board, const char **where)
 {
     uint64_t step_ns;
+    const char *level = config(m, instance, "level");
+    *where = "level";
+    if (level[0] != '\0' && strcmp(level, "ideal") != 0) {
+        return "the plugin has a board at level ideal; for level registers use servo-sim robot or RobotDrives";
+    }
     *where = "timestep";
     if (!model_step(m, PERIOD_NS, &step_ns)) {
         return "not a multiple of a PWM period; write for example <option timestep=\"0.0005\"/>";

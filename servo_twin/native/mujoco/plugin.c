@@ -319,10 +319,10 @@ static int plugin_nsensordata(const mjModel *m, int instance, int sensor)
 mjPLUGIN_LIB_INIT(servo_board)
 {
     static const char *attributes[4 * EXPORTED_BLOCK] = {"axis1",   "axis2",  "axis1.home", "axis2.home",
-                                                         "sensors", "inputs", "userdata"};
+                                                         "sensors", "inputs", "userdata",   "level"};
     size_t n;
     const exported_variable_t *variables = exported_variables(&n);
-    int count = 7;
+    int count = 8;
     for (size_t k = 0; k < n; k++) {
         if (model_configurable(&variables[k])) {
             attributes[count++] = variables[k].name;
