@@ -338,6 +338,26 @@ def test_holding_brake_holds_its_joint_without_supply(warnings: list[str]) -> No
     assert warnings == []
 
 
+def test_state_before_an_error_of_the_board_can_be_restored() -> None:
+    """The shaft of an axis without an actuator gets faster than any motor."""
+    text = arm(config='<config key="plant.axis2.load_torque" value="1"/>', axis2="")
+    joint = '<plugin name="elbow" joint="elbow" gear="100.0" plugin="servo.board" instance="board" />'
+    assert joint in text
+    model = mujoco.MjModel.from_xml_string(text.replace(joint, ""))
+    data = mujoco.MjData(model)
+    run(model, data, 500)
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
+    run(model, data, 100)
+    end = bits(data)
+    for other in (data, mujoco.MjData(model)):
+        with pytest.raises(mujoco.FatalError, match="faster than 20000 rad/s"):
+            run(model, other, 2000)
+        mujoco.mj_setState(model, other, state, STATE)
+        run(model, other, 100)
+        assert bits(other) == end
+
+
 def test_boards_do_not_share_inputs() -> None:
     def model(first: int, names: str = "supply.u_source axis1.fault.heat") -> Any:
         inputs = '<config key="inputs" value="supply.u_source axis1.fault.heat"/>'
