@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_measurement.step_response import overshoot, settling_time
-from servo_msgs_py.board_port import BoardPort, place, reached, word, write_axis, write_word
+from servo_msgs_py.board_port import BoardPort, place, reached, read_axis, word, write_axis, write_word
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
@@ -72,8 +73,19 @@ def enable(board: BoardPort, search_max: float = SEARCH_MAX) -> float:
         return all(place(board, axis) == "SPIN" for axis in range(AXES))
 
     if not reached(board, found, search_max, _STEP):
-        raise SimulationError(f"rotor search not finished within {search_max:g} s")
+        raise SimulationError(f"rotor search not finished within {search_max:g} s" + "".join(_waiting(board)))
     return board.clock() - begin
+
+
+def _waiting(board: BoardPort) -> Iterator[str]:
+    """What the axes wait for whose rotor is not found."""
+    for axis in range(AXES):
+        speed = read_axis(board, f"{axis_name(axis)}.speed", 0)
+        if place(board, axis) == "CALIB" and abs(speed) > 0.0:
+            yield (
+                f"; {axis_name(axis)} waits in CALIB until its shaft rests, which turns at {speed:g} rad/s: hold the "
+                "load until the rotor is found, for example by a holding brake (firmware/doc/pins.md)"
+            )
 
 
 def move(

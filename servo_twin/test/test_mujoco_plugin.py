@@ -358,6 +358,17 @@ def test_state_before_an_error_of_the_board_can_be_restored() -> None:
         assert bits(other) == end
 
 
+def test_load_that_turns_the_shaft_before_the_search_is_named(warnings: list[str]) -> None:
+    model = mujoco.MjModel.from_xml_string(arm())
+    data = mujoco.MjData(model)
+    model.opt.gravity[:] = 0.0
+    for _ in range(2200):
+        data.qvel[0] = 0.5
+        mujoco.mj_step(model, data)
+    assert len(warnings) == 1
+    assert "actuator 0: the firmware waits in CALIB until the shaft rests, which turns at" in warnings[0]
+
+
 def test_boards_do_not_share_inputs() -> None:
     def model(first: int, names: str = "supply.u_source axis1.fault.heat") -> Any:
         inputs = '<config key="inputs" value="supply.u_source axis1.fault.heat"/>'

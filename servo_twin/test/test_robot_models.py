@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from servo_msgs_py.board_port import active, place, read_axis
+from servo_twin.board import SimulationError
 from servo_twin.cli import main
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
@@ -110,6 +111,15 @@ def test_holding_brake_holds_without_supply() -> None:
     assert "UNDER_VOLTAGE" in active(drives.boards[0], 0)
     assert held - 2e-3 < drives.data.qpos[0] < held  # free fall until the brake has closed
     assert drives.data.qvel[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_search_of_a_falling_load_names_what_it_waits_for(tmp_path: Path) -> None:
+    text = (EXAMPLES / "lift.xml").read_text(encoding="utf-8").replace('damping="2"', 'damping="200"')
+    path = tmp_path / "lift.xml"
+    path.write_text("".join(line for line in text.splitlines(True) if "pins" not in line), encoding="utf-8")
+    drives = RobotModel(path).robot(PLANT, level="ideal")
+    with pytest.raises(SimulationError, match=r"axis1 waits in CALIB .* turns at -9\d.* rad/s: hold the load"):
+        drives.enable(1.0)
 
 
 def test_pendulum_stands() -> None:

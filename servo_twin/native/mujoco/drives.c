@@ -9,6 +9,7 @@
 /* From the arrival of a point until its predecessor is reached; the board needs 1.5 ms. */
 #define AHEAD_NS UINT64_C(2000000)
 #define ARRIVED 0.01 /* [rad] */
+#define CALIB_MAX 1.0 /* of a shaft at rest: 0.1 [s] */
 
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega)
 {
@@ -143,6 +144,23 @@ static bool homes(exported_t *board, const drive_t *drive, coupled_axis_t *of)
     return of->homing != HOMING_ENDED;
 }
 
+/* CALIB waits for a shaft that a load turns, without end. */
+static void watch_calib(const mjModel *m, const mjData *d, const drive_t *drive, coupled_axis_t *of, bool calib)
+{
+    const double before = of->calib;
+    of->calib = calib ? before + m->opt.timestep : 0.0;
+    if (before < CALIB_MAX && of->calib >= CALIB_MAX) {
+        double theta;
+        double omega;
+        drive_motion(m, d, drive->actuator, &theta, &omega);
+        mju_warning(
+            PLUGIN_NAME
+            ": actuator %d: the firmware waits in CALIB until the shaft rests, which turns at %g rad/s; hold the "
+            "load until the rotor is found, for example by a holding brake",
+            drive->actuator, omega);
+    }
+}
+
 void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,
                    coupled_axis_t *of)
 {
@@ -154,6 +172,7 @@ void drive_command(const mjModel *m, const mjData *d, exported_t *board, const d
                                : drive->mode);
         (void)exported_set(board, drive->enable, 1.0);
     }
+    watch_calib(m, d, drive, of, state == STATE_RUN && exported_number(board, drive->substate) == SUBSTATE_CALIB);
     if (state != STATE_RUN || exported_number(board, drive->substate) != SUBSTATE_SPIN) {
         of->path = PATH_NONE;
         return;

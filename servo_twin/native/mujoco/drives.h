@@ -37,6 +37,7 @@ enum {
 typedef struct {
     double torque; /* for the next step: mean of the air gap in the last one, and of the holding brake [N m] */
     double zero; /* control signal minus set-point of the firmware, for angles [rad]; NaN: not in RUN/SPIN yet */
+    double calib; /* time in CALIB [s] */
     uint64_t homing; /* HOMING_* */
     uint64_t path; /* PATH_*: the control signal is sent as points */
     double last, before; /* control signal one point ago, and two */
