@@ -29,7 +29,7 @@ GEAR: Final = 100.0
 PATH_DELAY: Final = 12  # steps of 0.5 ms
 SENSORS: Final = (
     "axis1.state axis1.substate axis1.faults axis1.home_state axis2.speed truth.axis2.torque_e u_dc "
-    "truth.axis2.brake_holds"
+    "truth.axis2.brake_holds axis2.home_state axis2.position"
 )
 STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 SEARCHED: Final = 2600  # steps until both rotors are found
@@ -356,6 +356,23 @@ def test_state_before_an_error_of_the_board_can_be_restored() -> None:
         mujoco.mj_setState(model, other, state, STATE)
         run(model, other, 100)
         assert bits(other) == end
+
+
+def test_axis_homes_at_its_home_switch(warnings: list[str]) -> None:
+    """The switch is at angles of the motor: those of the joint times its gear. After it `ctrl` is such an angle, too."""
+    entries = {"axis2.home": "SWITCH_POSITIVE", "plant.axis2.home_from": "5", "plant.axis2.home_to": "30"}
+    config = "".join(f'<config key="{key}" value="{value}"/>' for key, value in entries.items())
+    model = mujoco.MjModel.from_xml_string(arm(config=config))
+    model.opt.gravity[:] = 0.0
+    data = mujoco.MjData(model)
+    data.ctrl[1] = 5.0
+    run(model, data, 8000)
+    assert board(data)["axis2.home_state"] == Catalogue.load().enums["home_state_t"]["KNOWN"]
+    assert board(data)["axis2.position"] == pytest.approx(0.0, abs=0.05)
+    assert GEAR * data.qpos[1] == pytest.approx(5.0, abs=0.01)
+    run(model, data, 2000, lambda _: [0.0, 2.0])
+    assert GEAR * data.qpos[1] == pytest.approx(2.0, abs=0.01)
+    assert warnings == []
 
 
 def test_load_that_turns_the_shaft_before_the_search_is_named(warnings: list[str]) -> None:

@@ -72,6 +72,21 @@ def test_end_stop_and_switch_of_the_model_are_found() -> None:
     assert active(board, 1) == {"LIMIT_SWITCH"}
 
 
+def test_homed_axis_holds_its_position_at_every_instant(tmp_path: Path) -> None:
+    """A homing has its result a slow tick before the new position is read: every run sees it at another tick."""
+    text = (EXAMPLES / "homing.xml").read_text(encoding="utf-8").replace("-10.0", "-0.5")
+    (tmp_path / "near.xml").write_text(text, encoding="utf-8")
+    drives = RobotModel(tmp_path / "near.xml").robot(PLANT, level="ideal")
+    drives.enable()
+    state = drives.state()
+    for ticks in range(20):
+        drives.restore(state)
+        drives.wait(0.0005 * ticks + 0.0001)
+        drives.home(1, "SWITCH_NEGATIVE")
+        drives.wait(0.1)
+        assert drives.lengths()[1] == pytest.approx(drives.data.ctrl[1], abs=0.01)
+
+
 @both_levels
 def test_holding_brake_holds_a_vertical_axis() -> None:
     """Before the search, disabled, without supply, and after a state was restored; above its torque it slips."""

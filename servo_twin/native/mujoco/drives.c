@@ -120,6 +120,14 @@ static void approach(const drive_t *drive, coupled_axis_t *of, double signal, ex
     }
 }
 
+/* The new position is in the next snapshot only, a slow tick after the result, and with it the state. */
+static bool shifts(const exported_t *board, const drive_t *drive)
+{
+    const double state = exported_number(board, drive->home_state);
+    return exported_number(board, drive->home_result) == HOME_RESULT_DONE && state != HOME_STATE_KNOWN &&
+           state != HOME_STATE_ASSUMED;
+}
+
 /* True while the axis homes: a set-point would end that. */
 static bool homes(exported_t *board, const drive_t *drive, coupled_axis_t *of)
 {
@@ -130,7 +138,7 @@ static bool homes(exported_t *board, const drive_t *drive, coupled_axis_t *of)
     if (of->homing == HOMING_WAITS) {
         warn(exported_set(board, drive->home_command, drive->home));
         of->homing = HOMING_RUNS;
-    } else if (result != HOME_RESULT_NONE && result != HOME_RESULT_RUNNING) {
+    } else if (result != HOME_RESULT_NONE && result != HOME_RESULT_RUNNING && !shifts(board, drive)) {
         of->homing = HOMING_ENDED;
         of->zero = NAN; /* the position has changed */
         if (result != HOME_RESULT_DONE) {

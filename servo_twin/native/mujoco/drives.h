@@ -17,7 +17,7 @@ typedef struct {
     control_mode_t mode;
     home_method_t home; /* after the rotor search */
     uint32_t state, substate, position, enable, mode_command, set_point, pole_pairs; /* value references */
-    uint32_t home_command, home_result;
+    uint32_t home_command, home_result, home_state;
     uint32_t tick, point_refusal; /* of the board */
 } drive_t;
 

@@ -379,6 +379,7 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
         drive->mode_command = of_axis(axis, "cmd.mode");
         drive->home_command = of_axis(axis, "cmd.home");
         drive->home_result = of_axis(axis, "home_result");
+        drive->home_state = of_axis(axis, "home_state");
         drive->set_point = of_axis(axis, set_points[drive->mode]);
         drive->pole_pairs = of_plant(axis, "pole_pairs");
         drive->tick = exported_variable("tick")->reference;

@@ -37,6 +37,7 @@ _ANGLES: Final = ("POSITION", "TRAJECTORY")
 _POINT_NS: Final = 2_000_000  # shortest time between two points of a path [ns]
 _AHEAD_NS: Final = 2_000_000  # from the arrival of a point until its predecessor is reached; the board needs 1.5 ms
 _TO_SWITCH: Final = "SWITCH_"  # beginning of methods of homing
+_SNAPSHOT: Final = 2e-9 * TICK_NS  # until a snapshot has the position that a homing has set [s]
 _HOMING_MAX: Final = 60.0  # duration of a homing [s]
 _INERTIA_TOLERANCE: Final = 0.01  # largest relative difference between armature and inertia of the plant
 _TIME_TOLERANCE: Final = 1e-9  # [s]
@@ -354,6 +355,7 @@ class RobotDrives:
         if not reached(board, lambda: result() != "RUNNING", _HOMING_MAX, 0.01) or result() != "DONE":
             faults = ", ".join(sorted(active(board, axis)))
             raise SimulationError(f"{where}: homing {method} ends with {result()}" + (f"; {faults}" if faults else ""))
+        board.wait(_SNAPSHOT)
         self.align()
 
     def state(self) -> CoupledState:
