@@ -359,7 +359,7 @@ def test_state_before_an_error_of_the_board_can_be_restored() -> None:
 
 
 def test_axis_homes_at_its_home_switch(warnings: list[str]) -> None:
-    """The switch is at angles of the motor: those of the joint times its gear. After it `ctrl` is such an angle, too."""
+    """The switch is at angles of the motor: those of the joint times its gear. So is `ctrl` after it."""
     entries = {"axis2.home": "SWITCH_POSITIVE", "plant.axis2.home_from": "5", "plant.axis2.home_to": "30"}
     config = "".join(f'<config key="{key}" value="{value}"/>' for key, value in entries.items())
     model = mujoco.MjModel.from_xml_string(arm(config=config))
