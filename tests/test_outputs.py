@@ -49,6 +49,44 @@ def test_every_number_has_a_range(module: str, monkeypatch: pytest.MonkeyPatch) 
     assert [action.option_strings for action in found if action.type is float] == []
 
 
+@pytest.mark.parametrize("module", PROGRAMS)
+def test_every_parser_takes_negative_numbers_and_checks_namespaces(
+    module: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = list(parsers(main_parser(module, monkeypatch)))
+    assert [parser.prog for parser in found if not isinstance(parser, argument.Parser)] == []
+    names = [action for parser in found for action in parser._actions if "--namespace" in action.option_strings]
+    assert [action.type for action in names] == [argument.namespace] * len(names)
+
+
+@pytest.mark.parametrize("text", ["-1e-3", "-1.", "-.5E+2", "-inf", "-3,4", "-0x1f", "-1_000"])
+def test_negative_numbers_are_values(text: str) -> None:
+    parser = argument.Parser()
+    parser.add_argument("--position")
+    parser.add_argument("value")
+    parsed = parser.parse_args(["--position", text, text])
+    assert (parsed.position, parsed.value) == (text, text)
+
+
+@pytest.mark.parametrize("text", ["-v", "-3.csv", "-1x", "--5"])
+def test_other_words_with_a_dash_are_no_values(text: str) -> None:
+    parser = argument.Parser()
+    parser.add_argument("--position")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--position", text])
+
+
+@pytest.mark.parametrize("text", ["", "/", "servo", "/a/b_2", "robot/", "_x"])
+def test_namespace_is_taken_as_it_is(text: str) -> None:
+    assert argument.namespace(text) == text
+
+
+@pytest.mark.parametrize("text", ["a b", "1x", "/a//b", "\u00fc", "a-b", "~", "a\n"])
+def test_wrong_namespace_is_refused(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match="is no ROS namespace; write names"):
+        argument.namespace(text)
+
+
 @pytest.mark.parametrize(
     ("module", "words"),
     [

@@ -60,8 +60,10 @@ def _parameter(text: str) -> tuple[Variable, int | None]:
 
 def command_parser() -> argparse.ArgumentParser:
     """Command line of ``servo-command``."""
-    parser = argparse.ArgumentParser(prog="servo-command", description="Send one command to the servo over ROS.")
-    parser.add_argument("--namespace", default="/servo", help="namespace of the bridge (default: %(default)s)")
+    parser = argument.Parser(prog="servo-command", description="Send one command to the servo over ROS.")
+    parser.add_argument(
+        "--namespace", type=argument.namespace, default="/servo", help="namespace of the bridge (default: %(default)s)"
+    )
     parser.add_argument(
         "--wait", type=argument.not_negative, default=10.0, metavar="S", help="time to wait (default: %(default)s)"
     )
@@ -129,7 +131,7 @@ def command_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_path_verbs(verbs: argparse._SubParsersAction[argument.Parser]) -> None:
     """Add the path commands to the parser."""
     mover = verbs.add_parser("move", help="move to positions [rad] in a given time, or as fast as the limits allow")
     mover.add_argument("targets", nargs="+", type=_target("rad"), metavar="JOINT=VALUE", help="[rad]")

@@ -366,10 +366,16 @@ class Demo:
 
 
 def _arguments(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="servo-demo", description="Move both axes over ROS topics and measure.")
+    parser = argument.Parser(prog="servo-demo", description="Move both axes over ROS topics and measure.")
     parser.add_argument("--json", type=argument.output_file, metavar="FILE", help="write all figures to this file")
-    parser.add_argument("--servo", default="servo", metavar="NAMESPACE", help="namespace of the board's node")
-    parser.add_argument("--twin", default="twin", metavar="NAMESPACE", help="namespace of the twin")
+    for name, whose in (("servo", "board's node"), ("twin", "twin")):
+        parser.add_argument(
+            f"--{name}",
+            type=argument.namespace,
+            default=name,
+            metavar="NAMESPACE",
+            help=f"namespace of the {whose}",
+        )
     parser.add_argument("--require-twin", action="store_true", help="fail if no twin is running")
     parser.add_argument(
         "--tolerance", type=argument.positive, default=2.0, metavar="COUNTS", help="tolerance of a target (default: 2)"

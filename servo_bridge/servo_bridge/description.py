@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from servo_msgs_py.robot_description import describe
 from servo_msgs_py.text_file import read_text
 
 from servo_bridge.parameters import PARAMETERS, ParameterError, Settings, settings_from
-from servo_msgs_py import topics
+from servo_msgs_py import argument, topics
 
 
 def settings_from_file(params: str = "", namespace: str = "") -> Settings:
@@ -72,11 +71,13 @@ def _board(namespace: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; exit status 2 if the parameter file is invalid."""
-    parser = argparse.ArgumentParser(
+    parser = argument.Parser(
         prog="servo_bridge.description", description="Print the robot description (URDF) of a bridge."
     )
     parser.add_argument("--params", default="", metavar="FILE", help="parameter file (default: the bridge's defaults)")
-    parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the launch, before `servo`")
+    parser.add_argument(
+        "--namespace", type=argument.namespace, default="", metavar="NS", help="of the launch, before `servo`"
+    )
     args = parser.parse_args(argv)
     try:
         print(description_from_file(args.params, args.namespace), end="")

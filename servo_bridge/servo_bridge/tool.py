@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import getpass
 import os
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,7 +43,6 @@ from servo_bridge.wire.serial_port import SerialPort
 from servo_bridge.wire.session import connect
 from servo_msgs_py import argument
 
-_NEGATIVE = re.compile(r"-\.?\d|-(inf|nan)", re.IGNORECASE)
 _STARTUP_RETRIES = 5
 _PROJECT = "project"
 
@@ -82,7 +80,7 @@ def _ask_password() -> str | None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    common = argparse.ArgumentParser(add_help=False)
+    common = argument.Parser(add_help=False)
     common.add_argument(
         "--port",
         type=_port,
@@ -99,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="TEXT",
         help=f"password, for boards that require one (default: ${PASSWORD_VARIABLE}, else asked at the terminal)",
     )
-    parser = argparse.ArgumentParser(
+    parser = argument.Parser(
         prog="servo-tool",
         description="Read and change a servo board, or any FreeMASTER target (version 3 or 4), over its serial line. "
         "Values of servo boards are in SI units.",
@@ -230,11 +228,6 @@ def _add_raw(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _shield_negative(arguments: Sequence[str]) -> list[str]:
-    """Keep argparse from taking ``-3,3`` for an option: arguments with a space are never options."""
-    return [f" {a}" if _NEGATIVE.match(a) else a for a in arguments]
-
-
 def _run(args: argparse.Namespace) -> int:
     port = getattr(args, "port", os.environ.get("SERVO_PORT") or "/dev/ttyUSB0")
     try:
@@ -271,8 +264,7 @@ def _run(args: argparse.Namespace) -> int:
 @program("servo-tool")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    parser = _parser()
-    args = parser.parse_args(_shield_negative(sys.argv[1:] if argv is None else argv))
+    args = _parser().parse_args(argv)
     try:
         return _run(args)
     except (UsageError, ParameterFileError, PictureError) as error:

@@ -1,12 +1,12 @@
-"""Numbers and files on a command line, as types for `argparse`, and the layout of its help."""
+"""Command lines: a parser, numbers, files and names as types for `argparse`, and the layout of its help."""
 
 from __future__ import annotations
 
 import re
 import textwrap
-from argparse import ArgumentTypeError, HelpFormatter
+from argparse import ArgumentParser, ArgumentTypeError, HelpFormatter
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from servo_msgs_py.figure import PictureError, check_picture
 from servo_msgs_py.output_file import check_output
@@ -17,6 +17,16 @@ _NOT_NEGATIVE: Final = Quantity(minimum=0.0)
 _POSITIVE: Final = Quantity(minimum=ABOVE_0)
 _WHOLE: Final = Quantity(minimum=0.0, whole=True)
 _COUNT: Final = Quantity(minimum=1.0, whole=True)
+_NEGATIVE: Final = re.compile(r"-(\.?\d[\d._]*(e[+-]?\d+)?|0x[\da-f]+|inf|nan)(,.*)?$", re.IGNORECASE)
+_NAMESPACE: Final = re.compile(r"/?([a-z_]\w*/)*([a-z_]\w*)?", re.ASCII | re.IGNORECASE)
+
+
+class Parser(ArgumentParser):
+    """Parser that takes every negative number for a value, and not for an option: also ``-1e-3`` and ``-3,4``."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = _NEGATIVE
 
 
 def finite(text: str, valid: Quantity = _FINITE) -> float:
@@ -45,6 +55,13 @@ def whole(text: str, valid: Quantity = _WHOLE) -> int:
 def count(text: str) -> int:
     """A whole number of at least 1."""
     return whole(text, _COUNT)
+
+
+def namespace(text: str) -> str:
+    """A namespace of ROS, absolute or relative; may be empty."""
+    if not _NAMESPACE.fullmatch(text):
+        raise ArgumentTypeError(f"{text!r} is no ROS namespace; write names of ASCII letters, digits and _, as /servo")
+    return text
 
 
 def output_file(text: str, *, folder: bool = False) -> Path:

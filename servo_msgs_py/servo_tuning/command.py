@@ -41,8 +41,8 @@ README.md in the directory of this tool has the details."""
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line; the default command is ``generate``."""
     layout = ParagraphFormatter
-    result = argparse.ArgumentParser(prog="tune.py", description=_ABOUT, epilog=_EPILOG, formatter_class=layout)
-    common = argparse.ArgumentParser(add_help=False)
+    result = argument.Parser(prog="tune.py", description=_ABOUT, epilog=_EPILOG, formatter_class=layout)
+    common = argument.Parser(add_help=False)
     common.add_argument(
         "--config",
         type=Path,

@@ -34,9 +34,9 @@ from servo_twin.validation.timing import core_measured
 
 def parser() -> argparse.ArgumentParser:
     """Command line of ``servo-sim``."""
-    result = argparse.ArgumentParser(prog="servo-sim", description="The virtual board in simulated time, without ROS.")
+    result = argument.Parser(prog="servo-sim", description="The virtual board in simulated time, without ROS.")
     verbs = result.add_subparsers(dest="verb", required=True, metavar="COMMAND")
-    common = argparse.ArgumentParser(add_help=False)
+    common = argument.Parser(add_help=False)
     common.add_argument("--seed", type=int, default=1, help="seed of every random number (default: %(default)s)")
     common.add_argument("--plant", type=Path, help="plant file (default: the packaged one)")
     levelled = _levelled(DEFAULT_LEVEL)
@@ -92,9 +92,9 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def _levelled(default: Level) -> argparse.ArgumentParser:
+def _levelled(default: Level) -> argument.Parser:
     """Parent with ``--level`` and ``--elf``."""
-    result = argparse.ArgumentParser(add_help=False)
+    result = argument.Parser(add_help=False)
     add_level_options(result, "the board is", default)
     return result
 

@@ -93,9 +93,7 @@ def _assignment(text: str) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """Command line of ``servo-up``."""
-    result = argparse.ArgumentParser(
-        prog="servo-up", description="Start board, bridge, twin and viewer; run until Ctrl-C."
-    )
+    result = argument.Parser(prog="servo-up", description="Start board, bridge, twin and viewer; run until Ctrl-C.")
     result.add_argument(
         "--port", type=_port, help="serial port or pyserial URL of a real board (default: a virtual board)"
     )

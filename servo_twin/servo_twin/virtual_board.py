@@ -368,7 +368,7 @@ def _slips(pacer: Pacer) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = argument.Parser(
         prog="virtual_board",
         description="Simulated servo board: the firmware, two motors and a DC bus at a serial port (a "
         "pseudo-terminal), in real time. Stop it with Ctrl-C.",

@@ -148,7 +148,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     burst.add_argument("--points", type=argument.whole, metavar="N", help="number of points (default: as many as fit)")
 
 
-class _Parser(argparse.ArgumentParser):
+class _Parser(argument.Parser):
     """Parser that raises an error instead of ending the program."""
 
     def error(self, message: str) -> NoReturn:

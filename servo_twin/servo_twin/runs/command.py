@@ -49,7 +49,7 @@ _OUTPUTS: Mapping[str, type[McapOutput | RrdOutput]] = {".mcap": McapOutput, ".r
 
 def parser() -> argparse.ArgumentParser:
     """Command line of ``servo-twin``."""
-    result = argparse.ArgumentParser(prog="servo-twin", description="Recorded runs: would the drive do it again?")
+    result = argument.Parser(prog="servo-twin", description="Recorded runs: would the drive do it again?")
     verbs = result.add_subparsers(dest="verb", required=True, metavar="COMMAND")
     replayer = verbs.add_parser(
         "replay",
@@ -125,8 +125,16 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help=".xml: PlotJuggler, .json: Foxglove",
     )
-    layouter.add_argument("--namespace", default=DEFAULT_NAMESPACE, help="of the bridge (default: %(default)s)")
-    layouter.add_argument("--twin", default="/twin", metavar="NAMESPACE", help="of the twin (default: %(default)s)")
+    layouter.add_argument(
+        "--namespace", type=argument.namespace, default=DEFAULT_NAMESPACE, help="of the bridge (default: %(default)s)"
+    )
+    layouter.add_argument(
+        "--twin",
+        type=argument.namespace,
+        default="/twin",
+        metavar="NAMESPACE",
+        help="of the twin (default: %(default)s)",
+    )
     layouter.add_argument(
         "--joints",
         nargs=AXES,
@@ -170,14 +178,14 @@ def _add_json_option(verb: argparse.ArgumentParser) -> None:
 def _add_curve_options(verb: argparse.ArgumentParser) -> None:
     """Options of a command that measures the curves of one run."""
     verb.add_argument("run", type=Path, metavar="RUN", help=_CURVES)
-    verb.add_argument("--namespace", default="", help=_NAMESPACE)
+    verb.add_argument("--namespace", type=argument.namespace, default="", help=_NAMESPACE)
     _add_json_option(verb)
     verb.add_argument("-o", "--output", type=argument.picture, metavar="FILE", help="picture of the result")
 
 
 def _add_common_options(verb: argparse.ArgumentParser, outputs: str) -> None:
     """Options of a command that compares a run with another one, or with the twin."""
-    verb.add_argument("--namespace", default="", help=_NAMESPACE)
+    verb.add_argument("--namespace", type=argument.namespace, default="", help=_NAMESPACE)
     verb.add_argument(
         "--thresholds", type=Path, metavar="FILE", help="noise of a healthy pair, from `servo_twin calibrate`"
     )

@@ -7,7 +7,6 @@ Run as ``python -m servo_twin.view.picture RECORDING PICTURE``.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -245,7 +244,7 @@ def _colour_of(colour: scene.Colour) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw one recording; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="servo_twin.view.picture", description="Draw a picture of a recording.")
+    parser = argument.Parser(prog="servo_twin.view.picture", description="Draw a picture of a recording.")
     parser.add_argument("recording", type=Path, help="recording of servo_viewer (.rrd)")
     parser.add_argument("picture", type=argument.picture, help="picture to write (.png)")
     args = parser.parse_args(argv)
