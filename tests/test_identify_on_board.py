@@ -51,12 +51,12 @@ def _state(board: Board) -> dict[str, list[int]]:
     return {name: board.read_words(name) for name in names}
 
 
-def _identify(board: Board, folder: Path, line: SimulatedLine | None = None) -> int:
+def _identify(board: Board, folder: Path, line: SimulatedLine | None = None, current: str = "4") -> int:
     line = line or SimulatedLine(board)
     session = connect(Client(Line(line, baud=BAUD, clock=line.clock)), Catalogue.load())
     parser = argparse.ArgumentParser()
     tool_identify.add_arguments(parser)
-    args = parser.parse_args(["--voltage", "24", "--current", "4", "--r-on", "0.03", "--out", str(folder)])
+    args = parser.parse_args(["--voltage", "24", "--current", current, "--r-on", "0.03", "--out", str(folder)])
     tool_identify.check(args)
     context: Any = argparse.Namespace(args=args, session=session, catalogue=session.catalogue)
     return tool_identify.identify(context)
@@ -70,6 +70,18 @@ def test_a_board_with_other_pins_requires_its_own_file(tmp_path: Path, capsys: p
     assert re.search(
         r"axis1 of the board has another pins\.fitted than .*servo\.toml; write --config", capsys.readouterr().err
     )
+
+
+def test_a_refusal_leaves_the_files_of_an_earlier_measurement(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    earlier = tmp_path / "measurement.npz"
+    earlier.write_text("earlier")
+    with Board(level="ideal", baud=BAUD, seed=4) as board:
+        board.run(0.1)
+        assert _identify(board, tmp_path, current="99") == 1
+    assert "write --current 4 or less" in capsys.readouterr().err
+    assert earlier.read_text() == "earlier"
 
 
 def test_identification_over_a_line_writes_the_files(

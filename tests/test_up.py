@@ -11,8 +11,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import cast
 
 import pytest
+import yaml
 from chain import DOMAIN, ros_user
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
@@ -29,6 +31,7 @@ from servo_twin.view.layouts import plots
 from servo_twin.view.scene import SET_POINT
 
 from servo_twin import up as up_module
+from servo_twin import virtual_board
 
 pytestmark = pytest.mark.realtime
 
@@ -123,6 +126,38 @@ def started() -> Iterator[list[Up]]:
         if up.process.poll() is None:
             up.process.terminate()
             up.process.wait(30.0)
+
+
+class Given:
+    """Takes the arguments of the children instead of starting them."""
+
+    def __init__(self) -> None:
+        self.words: dict[str, tuple[str, ...]] = {}
+
+    def start(self, name: str, *words: str) -> str:
+        self.words[name] = words
+        return name
+
+    def wait(self, *_: object) -> None: ...
+
+    def expect(self, *_: object) -> None: ...
+
+
+@pytest.mark.parametrize("name", ["-x", "~", "~nobody", "run #1", "a: [b]", "it's", "100%Y", "no", "1e3", "\u00fc"])
+def test_names_of_files_reach_the_children_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = [f"--{option}={name}" for option in ("plant", "thresholds", "record")]
+    args, stack = parser().parse_args([*words, "--no-web"]), Given()
+    up_module._start_all(cast(Stack, stack), args, tmp_path, args.record)
+    path = tmp_path / name
+    assert virtual_board._parser().parse_args(stack.words["virtual_board"]).plant == path
+    given: dict[str, str] = {}
+    for child in ("servo_twin", "servo_viewer"):
+        assignments = [word.split(":=", 1) for word in stack.words[child] if ":=" in word]
+        given |= {key: yaml.safe_load(value) for key, value in assignments}
+    assert [given[key] for key in ("plant", "thresholds", "record")] == [str(path)] * 3
 
 
 def test_processes_run_without_a_board_until_one_ends(started: list[Up], tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ import numpy as np
 from servo_measurement.bode import Bode
 from servo_measurement.bode_report import COLUMNS, rows, text
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.rerun_file import recording_file
 
-from servo_bridge.bursts.rerun_log import entity_of, recording_file, send_curve
+from servo_bridge.bursts.rerun_log import entity_of, send_curve
 
 FREQUENCY: Final = "frequency"
 """Timeline with one second per hertz."""
@@ -32,7 +33,7 @@ def write_recording(bode: Bode, path: Path) -> None:
 
     Raises
     ------
-    RerunMissingError
+    RecordingError
         If rerun is not installed.
     """
     with recording_file("servo-bode", path) as recording:

@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.recording_names import BURST, PLOT, TIMELINE
+from servo_msgs_py.rerun_file import import_rerun
 from servo_msgs_py.trace import with_unit
 
-from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
+from servo_bridge.bursts.rerun_log import entity_of, send_curve
 from servo_bridge.tool_values import UsageError
 
 _WINDOW: Final = 15.0  # time span of the telemetry plots [s]
@@ -67,8 +68,10 @@ class ScopeView:
 
     Raises
     ------
+    RecordingError
+        If rerun is not installed.
     UsageError
-        If rerun is not installed, the file cannot be written, or no viewer can be reached.
+        If the file cannot be written, or no viewer can be reached.
     """
 
     def __init__(
@@ -79,7 +82,7 @@ class ScopeView:
         save: Path | None = None,
         connect: str | None = None,
     ) -> None:
-        self._rr = rr = import_rerun("scope")
+        self._rr = rr = import_rerun()
         sinks: list[Any] = []
         if save is not None:
             _check_file(save)

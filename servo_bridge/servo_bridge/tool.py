@@ -16,6 +16,7 @@ from pathlib import Path
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.figure import PictureError
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.rerun_file import RecordingError
 from servo_msgs_py.runtime.program import program
 
 from servo_bridge import (
@@ -267,7 +268,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     try:
         return _run(args)
-    except (UsageError, ParameterFileError, PictureError) as error:
+    except (UsageError, ParameterFileError, PictureError, RecordingError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 2
     except UnknownVariableError as error:

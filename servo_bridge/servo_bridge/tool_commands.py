@@ -15,7 +15,7 @@ from typing import Final
 
 from servo_msgs_py.board_description import board_of
 from servo_msgs_py.catalogue import Catalogue, Value, numbers
-from servo_msgs_py.output_file import check_output, named, write_file
+from servo_msgs_py.output_file import check_output, named, open_output, write_file
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import PERIOD_NS
 from servo_msgs_py.value_text import name_text
@@ -199,7 +199,7 @@ def record(context: Context) -> int:
     first = last = None
     started = time.monotonic()
     (output,) = context.args.output
-    with named(output), output.open("w", newline="", encoding="utf-8") as file:
+    with named(output), open_output(output, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         heads = [head for (v, k), name in zip(selection, names, strict=True) for head in _heads(v, k, name)]
         writer.writerow(["time [s]", *(["tick"] if tick is not None else []), *heads])

@@ -111,8 +111,9 @@ def identify(context: Context) -> int:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     path = args.out / _RECORDING
-    log.save(path)
-    print(f"wrote {path}", file=sys.stderr)
+    if log.recordings:  # else that of an earlier measurement stays
+        log.save(path)
+        print(f"wrote {path}", file=sys.stderr)
     if signalled or not log.recordings:
         print(f"servo-tool: {problem}", file=sys.stderr)
         return signalled or 1

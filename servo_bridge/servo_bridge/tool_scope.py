@@ -140,6 +140,7 @@ class _Run:
     def __init__(self, context: Context, request: BurstRequest, telemetry: _Telemetry) -> None:
         self._session, self._catalogue = context.session, context.catalogue
         self._request = request
+        self._hidden = () if TICK in context.args.names else (TICK,)  # it gives the points their times
         self._telemetry = telemetry
         self._recording = BurstRecording(request, self._catalogue)
         self._stopped_ns: int | None = None
@@ -158,7 +159,7 @@ class _Run:
     @property
     def shown(self) -> list[Channel]:
         """Channels of a burst that are shown."""
-        return [channel for channel in self._recording.channels if channel.name != TICK]
+        return [channel for channel in self._recording.channels if channel.name not in self._hidden]
 
     def until_ended(self, view: ScopeView, count: int | None) -> None:
         """Continue until a signal, or for `count` bursts."""
@@ -206,5 +207,5 @@ class _Run:
         times = self._telemetry.timeline.burst(burst, self._stopped_ns)
         at = times[0] - burst.time[0]
         text = f"burst {self.bursts} at {at:.6f} s: {self._recording.text}"
-        view.burst(times, burst.table(name for name in burst.columns if name != TICK), text)
+        view.burst(times, burst.table(name for name in burst.columns if name not in self._hidden), text)
         print(text, flush=True)

@@ -192,6 +192,16 @@ def test_full_disk_is_one_line_with_the_name_of_the_file(
 
 
 @pytest.mark.parametrize(
+    "command", [["record", "axis1.i_q", "--duration", "0.01", "-o"], [*BURST[:-1], "-o"], ["save"], ["project"]]
+)
+def test_a_file_is_written_into_a_new_folder(servo: FakeServo, run: Run, tmp_path: Path, command: list[str]) -> None:
+    suffix = {"save": ".toml", "project": ".pmpx"}.get(command[0], ".csv")
+    file = tmp_path / "new" / "[folder] #1" / f"x{suffix}"
+    assert run(*command, str(file)) == 0
+    assert file.stat().st_size > 0
+
+
+@pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [
         (["axis1.i_q", "--trigger", "axis1.i_q > 10"], 2, "outside the range of axis1.i_q: -8.25"),

@@ -64,6 +64,20 @@ def test_foreign_board_is_shown_with_the_clock_of_the_host(tmp_path: Path, capsy
     assert len(curve(file, "/plot/count/board")[0]) > 2, "the burst has the variables of the telemetry"
 
 
+@pytest.mark.parametrize("names", [["tick"], ["tick", "axis1.i_q"], ["axis1.i_q", "axis1.i_q"]])
+def test_the_tick_is_shown_if_it_is_asked_for(tmp_path: Path, names: list[str]) -> None:
+    board = FakeServo(recorder_memory=2048)
+    board.on_tick = lambda number: board.put("tick", number % 2**32)
+    file = tmp_path / "x.rrd"
+    with FakePort(tmp_path / "ttyFAKE", board) as port:
+        connect_ticks(board, port)
+        options = ["--points", "40", "--telemetry", "axis1.i_q", "--count", "1", "--save", str(file)]
+        assert tool.main(["scope", *names, *options]) == 0
+    for entity in {f"/burst/{name.replace('.', '/')}/board" for name in names}:
+        assert len(curve(file, entity)[0]) == 41
+    assert not curve(file, "/burst/tick/board")[0] or "tick" in names
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 
 @contextlib.contextmanager
@@ -21,8 +21,21 @@ def named(path: Path) -> Iterator[None]:
         raise
 
 
+def open_output(path: Path, mode: str, **options: Any) -> IO[Any]:
+    """Open a file that is written in parts, like `open`; its folder is created.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened; with its name.
+    """
+    with named(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open(mode, **options)
+
+
 def check_output(path: Path, *, folder: bool = False) -> None:
-    """Check that `write_file` could write a file, or files in a folder, without a change; disks may fill up later.
+    """Check without a change that `write_file` could write a file, or files in a folder; disks may fill up later.
 
     Raises
     ------

@@ -230,8 +230,8 @@ def _suitable_level(boards: int) -> Level:
 
 def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     link = folder / "board"
-    given = [("--plant", args.plant), ("--robot", args.robot)]
-    more = [text for option, value in given if value for text in (option, str(value))]
+    given = [("--plant", args.plant and args.plant.absolute()), ("--robot", args.robot)]
+    more = [f"{option}={value}" for option, value in given if value]
     what = f"virtual board {BoardDescription.load().name} on {link}, {args.baud} baud, seed {args.seed}"
     elf = os.environ.get(ELF_VARIABLE) if args.level == ELF_LEVEL else None
     _print(f"{what}, level {args.level}{f', firmware {elf}' if elf else ''}")
@@ -278,7 +278,7 @@ def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Pat
     stack.expect(twin, "the twin has no data of the board yet")
     web = not (args.no_web or args.demo)
     if web or record:
-        viewer = stack.start("servo_viewer", *parameter_arguments(record=record or "", web=web))
+        viewer = stack.start("servo_viewer", *parameter_arguments(record=record.absolute() if record else "", web=web))
         stack.expect(viewer, "the viewer has not started yet")
 
 
@@ -296,7 +296,7 @@ def _wait_for_stop(stack: Stack, args: argparse.Namespace) -> NoReturn:
 
 def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
     """Run ``servo-demo``, which moves the axes; returns its exit status."""
-    options = ["--require-twin", "--wait", f"{_DEMO_WAIT:g}", "--json", str(out / _FIGURES)]
+    options = ["--require-twin", "--wait", f"{_DEMO_WAIT:g}", "--json", str((out / _FIGURES).absolute())]
     command = [str(executable("servo-demo")), *options]
     demo = subprocess.Popen(
         with_parent_death_signal(command), stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True

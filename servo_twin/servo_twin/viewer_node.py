@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import FAULTS, NO_FAULT, applied_from_message, from_stamp, trace_from_message
 from servo_msgs_py.joints import joint_names
+from servo_msgs_py.rerun_file import RecordingError
 from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.runtime.node_shell import destroyed_on_error, run
 from servo_msgs_py.runtime.notify import notify
@@ -30,7 +31,7 @@ from std_msgs.msg import Bool, Float64MultiArray, Int64MultiArray, String
 
 from servo_msgs_py import topics
 from servo_twin.view import scene
-from servo_twin.view.recording import Recording, RecordingError
+from servo_twin.view.recording import Recording
 from servo_twin.view.viewer import Change, Viewer
 from servo_twin.view.web_page import WebPage, WebPageError, free_port
 

@@ -72,6 +72,16 @@ def test_the_largest_differences_are_named_with_their_noise(
     assert all(path.stat().st_size > 10_000 for path in outputs)
 
 
+@pytest.mark.parametrize("suffix", [".rrd", ".png"])
+def test_full_disk_is_one_line_with_the_name_of_the_file(
+    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    full = tmp_path / f"runs{suffix}"
+    full.symlink_to("/dev/full")
+    assert main(["compare", *map(str, runs), "-o", str(full)]) == 1
+    assert capsys.readouterr().err == f"servo-twin: {full}: No space left on device\n"
+
+
 @pytest.mark.parametrize("way", ["fit", "applied_count"])
 def test_a_later_run_is_shifted_to_the_first(
     runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], way: str

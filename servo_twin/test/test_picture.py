@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.rerun_file import RecordingError
 from servo_twin.view import scene
 from servo_twin.view.picture import draw, figure, main
-from servo_twin.view.recording import Recording, RecordingError
+from servo_twin.view.recording import Recording
 from servo_twin.view.viewer import Viewer
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, points, stamp, telemetry
 

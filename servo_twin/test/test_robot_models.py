@@ -270,3 +270,12 @@ def test_recording_has_the_moving_bodies_and_the_curves(tmp_path: Path) -> None:
     assert len(elbow) == pytest.approx(1.0 / FRAME, abs=2)
     assert np.ptp(elbow[:, 0]) > 0.05  # it swings
     assert np.linalg.norm(elbow, axis=1) == pytest.approx(0.3, abs=1e-6)  # length of the upper arm
+
+
+def test_recording_on_a_full_disk_is_one_line_with_the_name_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    full = tmp_path / "arm.rrd"
+    full.symlink_to("/dev/full")
+    assert main(["robot", "pendulum", "--time", "0.05", "--rrd", str(full)]) == 1
+    assert capsys.readouterr().err == f"servo-sim: {full}: No space left on device\n"

@@ -24,13 +24,14 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import FAULTS, diagnostic_array, diagnostic_status, joint_state, snapshot_message
 from servo_msgs_py.joints import DEFAULT_JOINTS
+from servo_msgs_py.rerun_file import RecordingError
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
-from servo_twin.view.recording import RecordingError, read_scalars, read_texts
+from servo_twin.view.recording import read_scalars, read_texts
 from servo_twin.viewer_node import main
 from std_msgs.msg import Bool, Float64MultiArray, String
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, move, stamp, verify

@@ -14,9 +14,10 @@ import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.joints import Joint
+from servo_msgs_py.rerun_file import RecordingError
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
-from servo_twin.view.recording import Recording, RecordingError, read_scalars, read_texts
+from servo_twin.view.recording import Recording, read_scalars, read_texts
 from servo_twin.view.viewer import Change, Viewer
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, points, stamp, telemetry, verify
 

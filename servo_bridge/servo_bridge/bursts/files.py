@@ -11,9 +11,10 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.rerun_file import recording_file
 from servo_msgs_py.trace import Trace
 
-from servo_bridge.bursts.rerun_log import entity_of, recording_file, send_curve
+from servo_bridge.bursts.rerun_log import entity_of, send_curve
 from servo_bridge.tool_values import UsageError
 
 _TIMELINE: Final = "time"

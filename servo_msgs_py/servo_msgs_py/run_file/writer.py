@@ -11,7 +11,7 @@ from typing import Final
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import Writer
 
-from servo_msgs_py.output_file import named
+from servo_msgs_py.output_file import named, open_output
 from servo_msgs_py.run_file.definitions import definition, without_padding
 from servo_msgs_py.run_file.topic import Topic
 
@@ -44,8 +44,7 @@ class RunWriter:
     def __init__(self, path: Path) -> None:
         self._path = path
         with named(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = path.open("xb")
+            self._stream = open_output(path, "xb")
             # Message indexes cost a fifth of the size, but rosbag2 finds no message of a file without them.
             self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES)
             self._schemas: dict[str, int] = {}

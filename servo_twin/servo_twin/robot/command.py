@@ -15,6 +15,7 @@ from servo_msgs_py.board_port import active
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.figure import new_figure, write_figure
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.rerun_file import import_rerun
 from servo_msgs_py.table_text import aligned
 
 from servo_msgs_py import argument
@@ -23,7 +24,6 @@ from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.servo_config import ServoConfig
 from servo_twin.view import scene
-from servo_twin.view.recording import check_writable, import_rerun
 
 if TYPE_CHECKING:
     from servo_twin.robot.coupling import RobotDrives
@@ -231,7 +231,6 @@ def run(args: argparse.Namespace) -> int:
         from servo_twin.robot.recording import Poses, write_recording
 
         import_rerun()
-        check_writable(args.rrd)
         poses = Poses(robot.model)
     log = follow(robot, drives, args.time, None if poses is None else poses.watch)
     found = figures(log, drives)

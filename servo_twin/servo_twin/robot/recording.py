@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.recording_names import PLOT
+from servo_msgs_py.rerun_file import import_rerun, recording_file
 
 from servo_twin.view import scene
-from servo_twin.view.recording import import_rerun
 
 FRAME: Final = 0.02
 """Time between two poses of the bodies [s]."""
@@ -57,7 +57,7 @@ def write_recording(
     Parameters
     ----------
     path : Path
-        File to be written; see `servo_twin.view.recording.check_writable`.
+        File to be written.
     model : mujoco.MjModel
         Its bodies are shown.
     poses : Poses
@@ -71,10 +71,12 @@ def write_recording(
     ------
     RecordingError
         If rerun is not installed.
+    OSError
+        If the file cannot be written.
     """
     rr = import_rerun()
-    with rr.RecordingStream(_APPLICATION) as stream:
-        stream.set_sinks(rr.FileSink(str(path)), default_blueprint=_blueprint(curves))
+    with recording_file(_APPLICATION, path) as stream:
+        stream.send_blueprint(_blueprint(curves))
         _log_shapes(rr, stream, model)
         index = [rr.TimeColumn(scene.TIMELINE, duration=np.array(poses.times))]
         for body in range(1, model.nbody):
@@ -87,7 +89,6 @@ def write_recording(
                 entity = rr.new_entity_path([*_plot(quantity), actuator, source])
                 stream.log(entity, rr.SeriesLines(names=f"{actuator} {source}".replace("_", " ")), static=True)
                 stream.send_columns(entity, indexes=index, columns=rr.Scalars.columns(scalars=values))
-        stream.flush()
 
 
 def _entity(rr: Any, model: Any, body: int) -> str:

@@ -9,11 +9,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.figure import new_figure, write_figure
+from servo_msgs_py.output_file import named, open_output
+from servo_msgs_py.rerun_file import import_rerun
 from servo_msgs_py.trace import Trace
 
 from servo_twin.runs.curves import TIME
 from servo_twin.view import scene
-from servo_twin.view.recording import import_rerun
 
 _BINS: Final = 1500
 """Points of a curve in a picture, each with its smallest and largest value."""
@@ -119,13 +120,17 @@ class RerunFile:
     ------
     RecordingError
         If rerun is not installed.
+    OSError
+        If the file cannot be written.
     """
 
     def __init__(self, path: Path, names: Mapping[str, str]) -> None:
         self._rr = rr = import_rerun()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._stream = rr.RecordingStream("servo-twin")
-        self._stream.set_sinks(rr.FileSink(str(path)), default_blueprint=_blueprint())
+        self._path = path
+        self._stream = rr.RecordingStream("servo-twin", send_properties=False)
+        self._data = self._stream.binary_stream()  # rerun would wait for ever at the end of a full disk
+        self._file = open_output(path, "wb")
+        self._stream.send_blueprint(_blueprint())
         self._written: set[float] = set()
         for number, (source, title) in enumerate(names.items()):
             for _, _, name in _quantities():
@@ -143,11 +148,17 @@ class RerunFile:
             if name in block.columns and name in values:
                 self._send(_entity(name, source), time, values[name])
                 self._send(_entity(name, source, _DIFFERENCE), time, block[name] - values[name])
+        self._write()
 
     def close(self) -> None:
         """Complete the file."""
-        self._stream.flush()
-        self._stream.disconnect()
+        self._write()
+        with named(self._path):
+            self._file.close()
+
+    def _write(self) -> None:
+        with named(self._path):
+            self._file.write(self._data.read() or b"")
 
     def _send(self, entity: str, time: _Array, values: _Array) -> None:
         rr = self._rr

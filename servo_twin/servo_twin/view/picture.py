@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.figure import PictureError, new_figure, write_figure
+from servo_msgs_py.rerun_file import RecordingError
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_msgs_py import argument
 from servo_twin.view import scene
-from servo_twin.view.recording import RecordingError, read_scalars, read_texts
+from servo_twin.view.recording import read_scalars, read_texts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

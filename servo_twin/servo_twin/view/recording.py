@@ -8,18 +8,16 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.output_file import write_file
+from servo_msgs_py.rerun_file import RecordingError, import_rerun
 from servo_msgs_py.runtime.claim import ClaimError, claimed
 
 from servo_twin.view import scene
 from servo_twin.view.blueprint import blueprint
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 _APPLICATION: Final = "servo"
 _SERVER_MEMORY: Final = "256MiB"  # history for a browser that connects later
@@ -31,30 +29,6 @@ _WIDTHS: Final = {scene.BOARD: 3.5, scene.SET_POINT: 2.0, scene.TWIN: 1.0}
 _RADII: Final = {scene.SET_POINT: 2.5, scene.BOARD: 0.8}
 _DIAL: Final = 0.10  # radius of the dial behind the pointers [m]
 _LABEL: Final = (255, 255, 255)  # text of the names of the shafts, on the grey of the viewer
-
-
-class RecordingError(ValueError):
-    """A recording cannot be written or read; the message contains reason and remedy."""
-
-
-def import_rerun() -> ModuleType:
-    """Import rerun.
-
-    Raises
-    ------
-    RecordingError
-        If rerun is not installed.
-    """
-    # No usage statistics: privacy, and delays on a machine without network.
-    os.environ.setdefault("RERUN_ANALYTICS", "false")
-    try:
-        import rerun
-    except ImportError as error:
-        raise RecordingError(
-            f"rerun cannot be imported ({error}); "
-            "install it with `pip install 'rerun-sdk==0.41.*'` (Python 3.11 or newer)"
-        ) from None
-    return rerun
 
 
 class Recording:
@@ -87,7 +61,7 @@ class Recording:
                     claim.enter_context(claimed(Path(os.path.realpath(path))))
                 except ClaimError as error:
                     raise RecordingError(str(error)) from None
-                check_writable(path)
+                _check_writable(path)
                 sinks.append(rr.FileSink(str(path)))
             if grpc_port is not None:
                 server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=grpc_port, server_memory_limit=_SERVER_MEMORY)
@@ -226,7 +200,7 @@ class Recording:
             self._claim.close()
 
 
-def check_writable(path: Path) -> None:
+def _check_writable(path: Path) -> None:
     """Check before rerun opens the file, which reports errors only in its own log.
 
     Raises
