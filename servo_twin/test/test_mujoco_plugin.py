@@ -412,6 +412,13 @@ def test_boards_do_not_share_inputs() -> None:
         (arm(axis1="wrist"), "'axis1': no actuator has this name"),
         (arm(axis1="shoulder PATH"), "'axis1': no actuator has this name"),
         (arm(axis2="shoulder"), "two axes"),
+        (
+            arm().replace("</instance>", '</instance><instance name="other"/>'),
+            "'actuator': two axes have one actuator, or",
+        ),
+        (arm().replace('gear="100.0"', 'gear="0"', 1), "'axis1': the gear is 0"),
+        (arm().replace('gear="100.0"', 'gear="nan"', 1), "'axis1': the gear is 0 or no number"),
+        (arm(config='<config key="plant.axis1.load_inertia" value="1e-5"/>'), "'shoulder': the axis has a second mass"),
         (arm(axis2=""), "a board has two axes"),
         (arm().replace('joint="elbow"', 'joint="shoulder"'), 'inertia of its rotors; write armature="0.2"'),
         (

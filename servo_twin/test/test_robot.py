@@ -252,6 +252,15 @@ def test_foreign_changes_of_the_model_are_refused() -> None:
         drives.data.qpos[0] = 100.0
         with pytest.raises(BoardError, match="faster than 2000 rad/s"):
             drives.step()
+        drives.reset()
+        drives.wait(0.01)
+        drives.data.qfrc_applied[0] = math.nan
+        with pytest.raises(CouplingError, match=r"MuJoCo has reset the model at 0\.01 s"):
+            drives.step()
+        drives.reset()
+        drives.model.opt.timestep = 0.0007
+        with pytest.raises(CouplingError, match="time step of the model has changed from 0.0005 to 0.0007 s"):
+            drives.step()
 
 
 @pytest.mark.parametrize(
@@ -269,12 +278,26 @@ def test_foreign_changes_of_the_model_are_refused() -> None:
             "a motor turns a hinge or a slide",
         ),
         ({"actuator": 'dyntype="user" actdim="1"'}, [Drive("motor", 0)], 'write armature="8e-06"'),
+        ({}, [Drive("motor", 0, "TORK")], "'motor': there is no mode 'TORK'; write POSITION"),  # type: ignore[arg-type]
+        *(
+            ({"actuator": f'dyntype="user" actdim="1" {ROTOR} gear="{gear}"'}, [Drive("motor", 0)], "'motor': the gear")
+            for gear in ("0", "nan")
+        ),
     ],
 )
 def test_model_that_does_not_fit_is_refused(model: dict[str, Any], drives: list[Drive], message: str) -> None:
     one = joint_model(**model)
     with Board(PLANT, seed=4) as board, pytest.raises(CouplingError, match=message):
         RobotDrives(one, mujoco.MjData(one), board, drives)
+
+
+def test_board_that_does_not_fit_is_refused() -> None:
+    model = joint_model()
+    second = PLANT.with_axis(0, load_inertia=1e-5, shaft_stiffness=1.0, shaft_damping=1e-3)
+    with Board(second, seed=4) as board, pytest.raises(CouplingError, match="'motor': axis1 has a second mass"):
+        RobotDrives(model, mujoco.MjData(model), board, [Drive("motor", 0)])
+    with Board(PLANT, seed=4) as board, pytest.raises(CouplingError, match="a board is named twice"):
+        RobotDrives(model, mujoco.MjData(model), [board, board], [Drive("motor", 2)])
 
 
 def test_holding_brake_that_the_firmware_does_not_open_is_refused() -> None:

@@ -82,6 +82,10 @@ static const char *refuse_drive(const mjModel *m, int instance, int actuator)
         (m->jnt_type[joint] != mjJNT_HINGE && m->jnt_type[joint] != mjJNT_SLIDE)) {
         return "a motor turns a hinge or a slide; write joint=... of one of them";
     }
+    const double gear = m->actuator_gear[6 * actuator];
+    if (gear == 0.0 || !isfinite(gear)) {
+        return "the gear is 0 or no number; write the ratio of the gearbox, for example gear=\"100\"";
+    }
     return another_board(m, instance, actuator) ? "another board drives its joint; use the two axes of one board"
                                                 : NULL;
 }
@@ -160,6 +164,7 @@ static const char *take_drives(const mjModel *m, int instance, model_t *model, c
         }
         count++;
     }
+    *where = "actuator";
     return (model->drive[0].actuator == model->drive[1].actuator) ? "two axes have one actuator, or none has one"
                                                                   : NULL;
 }
@@ -323,7 +328,9 @@ static const char *check_joint(const mjModel *m, model_t *model, const exported_
                        "the joint has less than the inertia of its rotors; write armature=\"%g\"", least);
         return model->text;
     }
-    return NULL;
+    return (exported_number(board, of_plant(axis, "load_inertia")) > 0.0)
+               ? "the axis has a second mass, but MuJoCo owns all inertia; set load_inertia to 0"
+               : NULL;
 }
 
 bool model_step(const mjModel *m, uint64_t period_ns, uint64_t *step_ns)

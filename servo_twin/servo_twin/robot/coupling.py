@@ -10,7 +10,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -105,6 +105,8 @@ class RobotDrives:
         self.model, self.data, self.drives = model, data, tuple(drives)
         self.boards = (boards,) if isinstance(boards, Board) else tuple(boards)
         self.step_ns = _step_ns(model)
+        if len(set(map(id, self.boards))) < len(self.boards):
+            raise CouplingError("a board is named twice; name each board once")
         _check_once(self.drives)
         ids = [_actuator(model, self.boards, drive) for drive in self.drives]
         joints = [int(model.actuator_trnid[i, 0]) for i in ids]
@@ -176,7 +178,8 @@ class RobotDrives:
         Raises
         ------
         CouplingError
-            If a control signal is not valid, or the time of the model was changed outside of the coupling.
+            If a control signal is not valid, the time of the model was changed outside of the coupling, or MuJoCo has
+            reset the model.
         BoardError
             If a joint jumps or turns the motor faster than 2000 rad/s.
         """
@@ -222,6 +225,7 @@ class RobotDrives:
             )
         self._command()
         mujoco.mj_step(self.model, self.data)
+        self._check_step()
         self._time = float(self.data.time)
         self._impulses = [board.impulse(axis) for board, axis in self._where]
         speeds, angles = self.speeds(), self.lengths() + self._offset
@@ -229,6 +233,19 @@ class RobotDrives:
         for (board, axis), angle, speed in zip(self._where, angles.tolist(), speeds.tolist(), strict=True):
             board.drive_shaft(axis, angle, speed, (ends[board] - board.time_ns) * 1e-9)
         self._ends = ends
+
+    def _check_step(self) -> None:
+        """Refuse a step that is not the next one of the boards."""
+        if self.data.time < self._time:
+            raise CouplingError(
+                f"MuJoCo has reset the model at {self._time:g} s: position, speed or acceleration was no number or too "
+                "large (see its warning); continue with reset() or restore()"
+            )
+        if abs(self.data.time - self._time - self.step_ns * 1e-9) > _TIME_TOLERANCE:
+            raise CouplingError(
+                f"the time step of the model has changed from {self.step_ns * 1e-9:g} to {self.model.opt.timestep:g} s; "
+                "make new RobotDrives for it"
+            )
 
     def _command(self) -> None:
         """Give the control signals to the firmware."""
@@ -443,6 +460,8 @@ def _check_joints(model: Any, drives: Sequence[Drive], joints: Sequence[int]) ->
 def _actuator(model: Any, boards: Sequence[Board], drive: Drive) -> int:
     """Index of an actuator after a check that it fits."""
     where = f"actuator '{drive.actuator}'"
+    if drive.mode is not None and drive.mode not in get_args(Mode):
+        raise CouplingError(f"{where}: there is no mode {drive.mode!r}; write {', '.join(get_args(Mode))}, or None")
     if drive.axis not in range(len(boards) * AXES):
         raise CouplingError(
             f"{where}: there is no axis with index {drive.axis}; write 0 .. {len(boards) * AXES - 1}, "
@@ -456,6 +475,9 @@ def _actuator(model: Any, boards: Sequence[Board], drive: Drive) -> int:
     joint = int(model.actuator_trnid[actuator, 0])
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT or model.jnt_type[joint] not in (slide, hinge):
         raise CouplingError(f"{where}: a motor turns a hinge or a slide; write joint=... of one of them")
+    gear = float(model.actuator_gear[actuator, 0])
+    if gear == 0.0 or not math.isfinite(gear):
+        raise CouplingError(f'{where}: the gear is {gear:g}; write the ratio of the gearbox, for example gear="100"')
     if (
         model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_USER
         or model.actuator_gaintype[actuator] != mujoco.mjtGain.mjGAIN_FIXED
@@ -474,6 +496,11 @@ def _actuator(model: Any, boards: Sequence[Board], drive: Drive) -> int:
         raise CouplingError(
             f"{where}: armature {armature:g} kg m^2 is not the inertia of {axis_name(drive.axis)} in the plant; "
             f'write armature="{plant.inertia:g}", or change inertia in the plant file'
+        )
+    if plant.load_inertia > 0.0:
+        raise CouplingError(
+            f"{where}: {axis_name(drive.axis)} has a second mass in the plant, but MuJoCo owns all inertia; set "
+            "load_inertia to 0"
         )
     if plant.pins.brake_torque > 0.0 and "brake" not in board.pins(axis):
         raise CouplingError(f"{where}: the firmware does not open the holding brake; {_pin_remedy(drive, 'brake')}")
