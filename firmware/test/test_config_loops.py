@@ -389,9 +389,9 @@ def test_a_swing_that_the_current_limit_does_not_permit_causes_a_warning() -> No
 @pytest.mark.parametrize(
     ("feedback", "lines", "inertia", "changed"),
     [
-        ("encoder", 500, 1e-5, {"encoder.lines": 1000, "control.speed_bandwidth": 20.0, "limits.current": 1.5}),
-        ("encoder", 1000, 2.4e-5, {"control.speed_bandwidth": 20.0, "limits.current": 2.0}),
-        ("observer", 500, 2.4e-5, {"observer.speed_part": 0.3, "control.speed_bandwidth": 20.0, "limits.current": 2.0}),
+        ("encoder", 500, 1e-5, {"encoder.lines": 1000, "limits.current": 1.5}),
+        ("encoder", 1000, 2.4e-5, {"limits.current": 2.0}),
+        ("observer", 500, 2.4e-5, {"observer.speed_part": 0.3, "limits.current": 2.0}),
     ],
 )
 def test_each_remedy_of_a_swing_above_the_limit_permits_one(

@@ -98,7 +98,6 @@ def findings(design: Tuned, figures: Assessment) -> list[Problem]:
         *_inertias(design, figures),
         *_spring(design),
         *_dither(design),
-        *_blind(design),
         *_position(design, figures),
         *_reach(design, figures),
         *_field_weakening(design),
@@ -106,6 +105,7 @@ def findings(design: Tuned, figures: Assessment) -> list[Problem]:
         *_follows(design),
         *_unusable(design),
         *_sensorless(design, figures),
+        *_blind(design),  # last: often nothing corrects it
     ]
 
 
@@ -144,11 +144,16 @@ def _dither(design: Tuned) -> Iterator[Problem]:
 
 
 def _blind(design: Tuned) -> Iterator[Problem]:
-    """The drive finds no oscillation if the current limit does not permit the smallest swing that counts."""
+    """The drive finds no oscillation if the current limit does not permit the smallest swing that counts.
+
+    A slower speed loop is no remedy. Random heavy shafts with 0.03 to 0.3 of the bandwidth passed their target by 7 to
+    21 counts and stayed there for half a minute: the rate of the integral part, which reverses the friction current,
+    falls with the square of the bandwidth. With the whole bandwidth they arrived.
+    """
     axis, swing = design.axis, design.oscillation_swing
     if swing <= 2.0 * axis("limits.current"):
         return
-    changes = [lower("control.speed_bandwidth"), higher("limits.current")]
+    changes = [higher("limits.current")]
     if axis.feedback != FEEDBACKS[0]:
         changes.insert(0, lower("observer.speed_part"))
     elif axis("encoder.lines") < COUNTS_PER_TURN / 4:  # the position has no finer counts
@@ -156,7 +161,8 @@ def _blind(design: Tuned) -> Iterator[Problem]:
     reason = (
         f"{DITHER_COUNTS} counts per slow tick cause a swing of {swing:.3g} A, more than the current limit permits:"
     )
-    yield axis.problem(changes[0].entry, f"{reason} the drive will not find an oscillation", *changes)
+    advice = "keep it: a speed loop slow enough to find one would overcome friction late"
+    yield axis.problem(changes[0].entry, f"{reason} the drive will not find an oscillation", *changes, advice)
 
 
 def _inertias(design: Tuned, figures: Assessment) -> Iterator[Problem]:
