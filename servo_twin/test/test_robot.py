@@ -259,7 +259,7 @@ def test_foreign_changes_of_the_model_are_refused() -> None:
             drives.step()
         drives.reset()
         drives.model.opt.timestep = 0.0007
-        with pytest.raises(CouplingError, match="time step of the model has changed from 0.0005 to 0.0007 s"):
+        with pytest.raises(CouplingError, match=r"time step of the model changed from 0.0005 to 0.0007 s"):
             drives.step()
 
 

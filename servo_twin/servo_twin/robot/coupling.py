@@ -243,7 +243,7 @@ class RobotDrives:
             )
         if abs(self.data.time - self._time - self.step_ns * 1e-9) > _TIME_TOLERANCE:
             raise CouplingError(
-                f"the time step of the model has changed from {self.step_ns * 1e-9:g} to {self.model.opt.timestep:g} s; "
+                f"the time step of the model changed from {self.step_ns * 1e-9:g} to {self.model.opt.timestep:g} s; "
                 "make new RobotDrives for it"
             )
 
