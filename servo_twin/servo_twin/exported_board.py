@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from servo_msgs_py.board_parameters import parameters
-from servo_msgs_py.catalogue import AXES, Variable, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 from servo_msgs_py.quantity import Quantity
 
 from servo_twin._board_pointers import write_pointers
@@ -190,6 +190,10 @@ def _servo_text(servo: ServoConfig | None) -> str:
     )
 
 
+def _fault_names() -> str:
+    return ", ".join(f'[{flag.bit}] = "{flag.name}"' for flag in Catalogue.load().flags["faults"])
+
+
 def _header(
     plant: PlantConfig,
     servo: ServoConfig | None,
@@ -217,6 +221,7 @@ def _header(
         f"    .bus = {{{_c_members(vars(plant.bus))}}},\n    .pwm_frequency = {plant.pwm_frequency!r},\n"
         f"    .ambient = {plant.ambient!r},\n    .baud = 115200.0,\n    .seed = UINT64_C({seed}),\n}};\n\n"
         f"{_servo_text(servo)}"
+        f"static const char *const fault_names[] = {{{_fault_names()}}};\n\n"
         f"static const exported_variable_t exported_names[] = {{\n{names}}};\n"
     )
 

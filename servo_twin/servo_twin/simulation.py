@@ -80,8 +80,13 @@ def enable(board: BoardPort, search_max: float = SEARCH_MAX) -> float:
 def _waiting(board: BoardPort) -> Iterator[str]:
     """What the axes wait for whose rotor is not found."""
     for axis in range(AXES):
-        speed = read_axis(board, f"{axis_name(axis)}.speed", 0)
-        if place(board, axis) == "CALIB" and abs(speed) > 0.0:
+        speed, where = read_axis(board, f"{axis_name(axis)}.speed", 0), place(board, axis)
+        if where == "ALIGN":
+            yield (
+                f"; the shaft of {axis_name(axis)} does not come to rest in ALIGN: it needs friction, and in another "
+                "simulator a small time step (servo_twin/doc/coupling.md)"
+            )
+        if where == "CALIB" and abs(speed) > 0.0:
             yield (
                 f"; {axis_name(axis)} waits in CALIB until its shaft rests, which turns at {speed:g} rad/s: hold the "
                 "load until the rotor is found, for example by a holding brake (firmware/doc/pins.md)"

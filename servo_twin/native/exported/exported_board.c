@@ -72,6 +72,11 @@ const exported_variable_t *exported_variable(const char *name)
     return NULL;
 }
 
+const char *exported_fault_name(unsigned bit)
+{
+    return (bit < sizeof fault_names / sizeof fault_names[0] && fault_names[bit] != NULL) ? fault_names[bit] : "";
+}
+
 exported_t *exported_new(void)
 {
     exported_t *exported = (exported_t *)calloc(1, sizeof *exported);

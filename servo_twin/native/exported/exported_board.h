@@ -46,6 +46,8 @@ typedef struct {
 const exported_variable_t *exported_variables(size_t *n);
 const exported_variable_t *exported_variable(const char *name); /* NULL: there is none */
 
+const char *exported_fault_name(unsigned bit); /* of axisN.faults; "": there is none */
+
 exported_t *exported_new(void); /* NULL: out of memory */
 void exported_free(exported_t *exported);
 

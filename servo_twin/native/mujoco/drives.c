@@ -10,6 +10,7 @@
 #define AHEAD_NS UINT64_C(2000000)
 #define ARRIVED 0.01 /* [rad] */
 #define CALIB_MAX 1.0 /* of a shaft at rest: 0.1 [s] */
+#define ALIGN_MAX 3.0 /* of a shaft with friction: at most 2 [s] */
 
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega)
 {
@@ -152,20 +153,43 @@ static bool homes(exported_t *board, const drive_t *drive, coupled_axis_t *of)
     return of->homing != HOMING_ENDED;
 }
 
-/* CALIB waits for a shaft that a load turns, without end. */
-static void watch_calib(const mjModel *m, const mjData *d, const drive_t *drive, coupled_axis_t *of, bool calib)
+/* A model without sensors of the board shows nothing else of a fault. */
+static void watch_faults(const drive_t *drive, coupled_axis_t *of, const exported_t *board)
 {
-    const double before = of->calib;
-    of->calib = calib ? before + m->opt.timestep : 0.0;
-    if (before < CALIB_MAX && of->calib >= CALIB_MAX) {
-        double theta;
-        double omega;
-        drive_motion(m, d, drive->actuator, &theta, &omega);
+    const uint64_t faults = (uint64_t)exported_number(board, drive->faults);
+    for (unsigned bit = 0; bit < 32; bit++) {
+        if (((faults & ~of->faults) >> bit & 1u) != 0) {
+            mju_warning(PLUGIN_NAME ": actuator %d: fault %s", drive->actuator, exported_fault_name(bit));
+        }
+    }
+    of->faults = faults;
+}
+
+/* The rotor search waits for a shaft at rest, without end. */
+static void watch_search(const mjModel *m, const mjData *d, const drive_t *drive, coupled_axis_t *of, double substate)
+{
+    const double longest = (substate == SUBSTATE_CALIB) ? CALIB_MAX : ALIGN_MAX;
+    const double before = (of->substate == substate) ? of->waited : 0.0;
+    of->substate = substate;
+    of->waited = before + m->opt.timestep;
+    if (before >= longest || of->waited < longest) {
+        return;
+    }
+    double theta;
+    double omega;
+    drive_motion(m, d, drive->actuator, &theta, &omega);
+    if (substate == SUBSTATE_CALIB) {
         mju_warning(
             PLUGIN_NAME
             ": actuator %d: the firmware waits in CALIB until the shaft rests, which turns at %g rad/s; hold the "
             "load until the rotor is found, for example by a holding brake",
             drive->actuator, omega);
+    } else if (substate == SUBSTATE_ALIGN) {
+        mju_warning(
+            PLUGIN_NAME
+            ": actuator %d: the rotor is not found within %g s, because the shaft does not come to rest; give the joint "
+            "the friction of the motor (frictionloss: friction in the plant times gear), or take a smaller time step",
+            drive->actuator, ALIGN_MAX);
     }
 }
 
@@ -180,7 +204,8 @@ void drive_command(const mjModel *m, const mjData *d, exported_t *board, const d
                                : drive->mode);
         (void)exported_set(board, drive->enable, 1.0);
     }
-    watch_calib(m, d, drive, of, state == STATE_RUN && exported_number(board, drive->substate) == SUBSTATE_CALIB);
+    watch_faults(drive, of, board);
+    watch_search(m, d, drive, of, (state == STATE_RUN) ? exported_number(board, drive->substate) : SUBSTATE_SPIN);
     if (state != STATE_RUN || exported_number(board, drive->substate) != SUBSTATE_SPIN) {
         of->path = PATH_NONE;
         return;

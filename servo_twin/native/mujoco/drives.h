@@ -16,7 +16,7 @@ typedef struct {
     int actuator; /* -1: none */
     control_mode_t mode;
     home_method_t home; /* after the rotor search */
-    uint32_t state, substate, position, enable, mode_command, set_point, pole_pairs; /* value references */
+    uint32_t state, substate, faults, position, enable, mode_command, set_point, pole_pairs; /* value references */
     uint32_t home_command, home_result, home_state;
     uint32_t tick, point_refusal; /* of the board */
 } drive_t;
@@ -37,7 +37,8 @@ enum {
 typedef struct {
     double torque; /* for the next step: mean of the air gap in the last one, and of the holding brake [N m] */
     double zero; /* control signal minus set-point of the firmware, for angles [rad]; NaN: not in RUN/SPIN yet */
-    double calib; /* time in CALIB [s] */
+    double substate, waited; /* before SPIN, and time in it [s] */
+    uint64_t faults; /* that are active */
     uint64_t homing; /* HOMING_* */
     uint64_t path; /* PATH_*: the control signal is sent as points */
     double last, before; /* control signal one point ago, and two */

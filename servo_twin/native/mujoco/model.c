@@ -381,6 +381,7 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
         }
         drive->state = of_axis(axis, "state");
         drive->substate = of_axis(axis, "substate");
+        drive->faults = of_axis(axis, "faults");
         drive->position = of_axis(axis, "position");
         drive->enable = of_axis(axis, "cmd.enable");
         drive->mode_command = of_axis(axis, "cmd.mode");
