@@ -49,7 +49,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--to", dest="f_max", type=argument.positive, metavar="HZ", help="highest frequency")
     command.add_argument("--speed", type=argument.finite, metavar="RAD/S", help="constant speed during the measurement")
     command.add_argument("--repeat", type=_repeats, default=4, metavar="N", help="sweeps per band (default: 4)")
-    add_loop_options(command, gain=1.0)
+    add_loop_options(command, 1.0, "1")
     command.add_argument(
         "--out",
         type=argument.output_folder,

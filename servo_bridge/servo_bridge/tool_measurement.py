@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _Result = TypeVar("_Result")
 
 
-def add_loop_options(command: argparse.ArgumentParser, gain: float) -> None:
-    """Options of a command that measures a closed loop; `gain`: default of --gain."""
+def add_loop_options(command: argparse.ArgumentParser, gain: float | None, default: str) -> None:
+    """Options of a command that measures a closed loop; `gain`: default of --gain, and its text."""
     command.add_argument(
         "--range",
         type=argument.positive,
@@ -36,7 +36,7 @@ def add_loop_options(command: argparse.ArgumentParser, gain: float) -> None:
         default=gain,
         metavar="PART",
         help="bandwidths of speed and position control during the measurement, over those of the board: a part for a"
-        " shaft that oscillates (default: %(default)g)",
+        f" shaft that oscillates (default: {default})",
     )
     add_enable(command)
 

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from servo_measurement.access import MeasurementError
-from servo_measurement.resonance import GAIN, ResonanceRequest, measure
+from servo_measurement.resonance import BANDWIDTH, ResonanceRequest, measure
 from servo_msgs_py.catalogue import AXIS_NAMES
 from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import complain
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ABOUT: Final = """\
 Measure inertia, stiffness and damping of a load behind a spring (a belt, a coupling, a long shaft), and write the group
 [axisN.load] of servo.toml, with which tune checks the loops. The shaft turns in both directions at a constant speed,
-with an eighth of the bandwidths of speed and position control, so that it does not oscillate. Ctrl-C stops it."""
+with a part of the bandwidths of speed and position control, so that it does not oscillate. Ctrl-C stops it."""
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--speed", type=argument.positive, metavar="RAD/S", help="constant speed (default: as of bode)"
     )
-    add_loop_options(command, GAIN)
+    add_loop_options(command, None, f"for a bandwidth of {BANDWIDTH:g} Hz")
     command.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     command.add_argument(
         "-o", "--output", type=argument.output_file, metavar="FILE.toml", help="file to write (default: print it)"

@@ -95,7 +95,7 @@ def measure(
     sweeps = len(bands) * settings.repeats
     total = sweeps + (sweeps if request.half else _CHECKS)
     rig = BodeRig(access, settings, report)
-    block = None if settings.gain == 1.0 else prediction.block
+    block = None if settings.gain == 1.0 and request.candidate is None else prediction.block
     with rig.prepared(enable, test_mode=not settings.loop.slow, block=block):
         initial = rig.value("position")
 

@@ -16,7 +16,7 @@ from servo_msgs_py.units import TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
 from servo_measurement.frequency_response import GROUPS
-from servo_measurement.prediction import Prediction, predict
+from servo_measurement.prediction import Candidate, Prediction, predict
 from servo_measurement.running_axis import SETTLE
 from servo_measurement.test_signal import SweptSine, refuse_test_signal
 
@@ -90,6 +90,7 @@ class BodeRequest:
     """Bandwidths of speed and position control during the measurement, over those of the board, above 0 to 1."""
     groups: int = GROUPS  # of frequencies, per decade
     half: bool = False  # sweep every band as often with half the amplitude
+    candidate: Candidate | None = None  # in use during the measurement; None: what the board has
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,7 @@ def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settin
     axis, loop = request.axis, LOOPS[request.loop]
     if request.gain != 1.0 and not loop.slow:
         raise MeasurementError("a current loop is measured with its own gains; omit the part of the gains")
-    prediction = predict(access, axis, loop.name, request.speed or 0.0, request.gain)
+    prediction = predict(access, axis, loop.name, request.speed or 0.0, request.gain, request.candidate)
     crossover = prediction.margins.crossover or 0.1 * prediction.nyquist
     f_min = crossover / _BELOW if request.f_min is None else request.f_min
     f_max = crossover * _ABOVE if request.f_max is None else request.f_max

@@ -17,10 +17,9 @@ from servo_tuning.errors import ConfigError, Problem, Remedy, Table
 from servo_tuning.gains import current_bandwidth_min
 from servo_tuning.members import MEMBERS
 from servo_tuning.motor import Motor
-from servo_tuning.reading import parse
 from servo_tuning.remedies import refusal_of
 from servo_tuning.rotor_search import SALIENT_USE
-from servo_tuning.tuned import Tuned, tuned
+from servo_tuning.tuned import Tuned, tuned_axis
 
 from servo_measurement.motor_values import Limits
 
@@ -160,18 +159,6 @@ def supply(board: Mapping[str, Any], voltage: float) -> dict[str, Any]:
             changes = {key: float(f"{moved(board[group][key]):.4g}") for key in keys}
             entries[group] = {**board[group], **changes}
     return entries
-
-
-def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
-    """Gains and block of one axis.
-
-    Raises
-    ------
-    ConfigError
-        If the configuration is not possible.
-    """
-    configuration = parse(table, Catalogue.load())
-    return tuned(configuration.axes[axis], configuration)
 
 
 def fitted(

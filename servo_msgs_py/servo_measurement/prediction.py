@@ -17,12 +17,21 @@ from servo_msgs_py.units import PERIOD, TICK
 from servo_tuning.control_loops import ControlLoops, control_loops, softened
 from servo_tuning.linear import Margins, Omega, margins
 from servo_tuning.loops import In, Out, ShaftLoops
+from servo_tuning.robust import ShaftModel
 from servo_tuning.sensors import EdgeDelay, edge_delay
 
 from servo_measurement.access import BoardAccess
 
 _CURRENT_AXES: Final[Mapping[str, str]] = {"current": "q", "current_d": "d"}
 _GRID: Final = 200
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What a board does not have yet: a configuration, and the shaft that it is for."""
+
+    block: Mapping[str, int]  # configuration of the axis, raw numbers by member
+    shaft: ShaftModel
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,7 @@ class Prediction:
     loop: str  # ``current``, ``current_d``, ``speed`` or ``position``
     speed: float  # of the shaft [rad/s], for the measurement delay of the M/T method; 0: edges are frequent
     observed: bool  # whether the speed observer is on
+    model: ShaftModel | None = None  # the shaft; None: rigid, with the inertia of the block
 
     @cached_property
     def loops(self) -> ControlLoops:
@@ -67,7 +77,8 @@ class Prediction:
     @property
     def shaft(self) -> ShaftLoops:
         """Model of the shaft with its speed and position loop."""
-        return self.loops.shaft(observed=self.observed)
+        loops = self.loops.shaft(observed=self.observed)
+        return loops if self.model is None else self.model.within(loops)
 
     @property
     def delay(self) -> EdgeDelay | None:
@@ -113,9 +124,33 @@ class Prediction:
         return 0.0, float(np.abs(sensitivity).max())
 
 
-def predict(access: BoardAccess, axis: int, loop: str, speed: float, gain: float = 1.0) -> Prediction:
-    """Model of a loop of a board, with its configuration and its features; `gain`: part of its bandwidths in use."""
+def predict(
+    access: BoardAccess,
+    axis: int,
+    loop: str,
+    speed: float,
+    gain: float = 1.0,
+    candidate: Candidate | None = None,
+) -> Prediction:
+    """Model of a loop of a board with its features.
+
+    Parameters
+    ----------
+    access : BoardAccess
+        The board.
+    axis : int
+        Index.
+    loop : str
+        As of `Prediction`.
+    speed : float
+        Of the shaft [rad/s].
+    gain : float
+        Part of the bandwidths of speed and position control in use.
+    candidate : Candidate, optional
+        Configuration and shaft; None: the configuration of the board, and a rigid shaft.
+    """
     word = int(access.read("param.features")[axis])
     observed = any(flag.name == "SPEED_OBSERVER" for flag in access.catalogue.active("features", word))
-    block = read_block(access, axis)
-    return Prediction(block if gain == 1.0 else softened(block, gain), loop, speed, observed)
+    block = read_block(access, axis) if candidate is None else candidate.block
+    model = None if candidate is None else candidate.shaft
+    return Prediction(block if gain == 1.0 else softened(block, gain), loop, speed, observed, model)

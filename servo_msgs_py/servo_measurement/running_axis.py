@@ -54,8 +54,8 @@ class RunningAxis(AxisUnderTest):
         own = None if block is None else read_block(self.access, self.axis)
 
         def configuration_before() -> None:
-            """While enabled: at the end of a session the board disables an axis with another configuration."""
-            if own is not None and self.is_spinning:
+            """Of an axis that remains enabled: the board would disable it at the end of the session."""
+            if own is not None and was_spinning and self.is_spinning:
                 send_configuration(self.access, {self.axis: own})
 
         def mode_before() -> None:

@@ -47,6 +47,11 @@ class ControlLoops:
         sensor = self.observer if (self.observed if observed is None else observed) else MtSpeed()
         return ShaftLoops(self.with_inertia(inertia), self.used, self.back_emf, sensor)
 
+    @property
+    def speed_bandwidth(self) -> float:
+        """Bandwidth of the speed loop from its proportional gain, as it is designed [Hz]."""
+        return self.used.speed.kp * self.motor.torque_constant / self.motor.inertia / (2.0 * math.pi)
+
     def sprung(self, load: Load, observed: bool | None = None) -> ShaftLoops:
         """Models of speed and position loop with a part of the inertia behind a spring; `observed` as in `shaft`."""
         return replace(self.shaft(observed=observed), load=load)

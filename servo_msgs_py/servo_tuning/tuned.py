@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
+from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_tuning.block import block_of, constants_of
@@ -14,11 +15,12 @@ from servo_tuning.configuration import FEEDBACKS, Axis, Board, Configuration
 from servo_tuning.constants import axis_constants
 from servo_tuning.control_loops import ControlLoops, control_loops, pi_of
 from servo_tuning.conversion import AxisConstants, Converter, PiRaw
-from servo_tuning.errors import ConfigError, Problem, Remedy, checking, exactly, lower
+from servo_tuning.errors import ConfigError, Problem, Remedy, Table, checking, exactly, lower
 from servo_tuning.gains import Gains, current_bandwidth_min
 from servo_tuning.linear import spectral_radius
 from servo_tuning.loops import ShaftLoops
 from servo_tuning.optional import PARTS, SENSORLESS, SPEED_OBSERVER
+from servo_tuning.reading import parse
 from servo_tuning.sensorless import Sensorless
 from servo_tuning.sensorless_constants import used_observer, used_pll
 from servo_tuning.sensors import PllSpeed
@@ -135,6 +137,18 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
             if PARTS[name].used(axis):
                 raise ConfigError(reason)
         return _tuned(axis, configuration, unstable) if unstable else result
+
+
+def tuned_axis(table: Table, axis: int) -> Tuned:
+    """Gains and integers of one axis of a parsed ``servo.toml``.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration is not possible.
+    """
+    configuration = parse(table, Catalogue.load())
+    return tuned(configuration.axes[axis], configuration)
 
 
 def _tuned(axis: Axis, configuration: Configuration, unstable: Mapping[str, Problem]) -> Tuned:

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from servo_measurement.frequency_response import Response
 from servo_measurement.prediction import Prediction
-from servo_measurement.resonance import GAIN, Resonance, Shaft, fitted
+from servo_measurement.resonance import CHANGE, Resonance, Shaft, fitted
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.text_file import parse_toml
 from servo_tuning.control_loops import softened
@@ -20,7 +20,7 @@ from servo_tuning.tuned import tuned
 
 CONFIGURATION = parse(read_table(SERVO_TOML), Catalogue.load())
 BLOCK = tuned(CONFIGURATION.axes[0], CONFIGURATION).block
-PREDICTION = Prediction(softened(BLOCK, GAIN), "speed", 47.0, observed=False)
+PREDICTION = Prediction(softened(BLOCK, 0.125), "speed", 47.0, observed=False)
 FREQUENCY = np.geomspace(16.0, 780.0, 240)
 
 
@@ -91,3 +91,18 @@ def test_the_group_is_that_of_the_tuning_and_the_text_names_another_inertia() ->
     assert group["inertia"] == pytest.approx(0.75 * 1.3 * nominal, rel=0.02)
     assert group.keys() == {"inertia", "stiffness", "damping"}
     assert f"write {found.shaft.inertia:.4g}" in found.text()
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0, 8.0])
+def test_possible_shafts_have_the_lowest_damping_and_other_resonances(ratio: float) -> None:
+    """The true shaft is among them or within them: a design for all of them is one for it."""
+    inertia = PREDICTION.loops.motor.inertia
+    shaft = fit(spring(150.0, ratio, 0.03, inertia))
+    loads = [one.load for one in shaft.possible]
+    assert all(load is not None for load in loads)
+    assert max(load.damping for load in loads if load is not None) < 0.03
+    resonances = [one.load.resonance(one.inertia) for one in shaft.possible if one.load is not None]
+    assert min(resonances) == pytest.approx(150.0 / CHANGE, rel=0.02)
+    assert max(resonances) == pytest.approx(150.0 * CHANGE, rel=0.02)
+    inertias = [one.inertia for one in shaft.possible]
+    assert min(inertias) < inertia < max(inertias)

@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 from servo_measurement import estimation, motor_rig, motor_test
 from servo_measurement.access import FAULT, MeasurementError
 from servo_measurement.dead_time import rounded_down, rounded_up
-from servo_measurement.motor_config import corrected, fitted, tuned_axis
+from servo_measurement.motor_config import corrected, fitted
 from servo_measurement.motor_test import MotorTest
 from servo_measurement.motor_values import VOLTAGE_USE, Limits
 from servo_tuning.errors import ConfigError, Remedy
 from servo_tuning.remedies import with_value
+from servo_tuning.tuned import tuned_axis
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.identification.session import identified, measure_virtual

@@ -13,7 +13,7 @@ from servo_measurement.access import MeasurementError
 from servo_measurement.dead_time import rounded_up
 from servo_measurement.estimation import BAND, estimates_of, inductance_at_low_current
 from servo_measurement.log import MeasurementLog
-from servo_measurement.motor_config import SUPPLY_END, fitted, tuned_axis
+from servo_measurement.motor_config import SUPPLY_END, fitted
 from servo_measurement.motor_test import OVERSHOOT, ROOM_USE, MotorTest
 from servo_measurement.motor_values import UNITS, VOLTAGE_USE, Limits, MotorEstimates
 from servo_msgs_py.axis_config import AxisConfigError
@@ -23,6 +23,7 @@ from servo_msgs_py.table_text import aligned
 from servo_tuning.errors import ConfigError, Problem, Remedy, Table, raised
 from servo_tuning.motor import Motor
 from servo_tuning.remedies import explained
+from servo_tuning.tuned import tuned_axis
 
 from servo_twin.board import Board, SimulationError
 from servo_twin.board_access import VirtualBoardAccess
