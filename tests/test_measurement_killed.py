@@ -66,12 +66,22 @@ def arguments_of(command: str, folder: Path) -> list[str]:
         return ["identify", "--voltage", "24", "--current", "4", "--r-on", "0.03", "--out", str(folder)]
     if command in ("ripple", "resonance"):
         return [command, "axis1", "--enable"]
+    if command == "autotune":
+        return [command, "axis1", "--out", str(folder)]
     return ["bode", "axis1", command, "--enable"]
 
 
 @pytest.mark.parametrize(
     ("command", "end"),
-    [("identify", 6.0), ("identify", 50.0), ("speed", 8.0), ("current", 3.0), ("ripple", 10.0), ("resonance", 8.0)],
+    [
+        ("identify", 6.0),
+        ("identify", 50.0),
+        ("speed", 8.0),
+        ("current", 3.0),
+        ("ripple", 10.0),
+        ("resonance", 8.0),
+        ("autotune", 20.0),
+    ],
 )
 def test_board_restores_itself_when_the_program_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, end: float

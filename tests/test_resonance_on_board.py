@@ -15,11 +15,11 @@ from servo_msgs_py.text_file import parse_toml
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.plant import PlantConfig
-from servo_twin.validation.experiments.resonance import Case
+from servo_twin.sprung_load import SprungLoad
 from servo_twin.validation.experiments.rig import set_up
 from test_tune_on_board import BAUD, CONFIG, ToolBench, edited
 
-CASE: Final = Case(150.0, 3.0)
+CASE: Final = SprungLoad(150.0, 3.0, 0.02)
 KEPT: Final = ("config.checksum", "cmd.mode", "cmd.enable", "cmd.speed", "param.features", "param.command_timeout")
 
 

@@ -20,6 +20,7 @@ from servo_msgs_py.rerun_file import RecordingError
 from servo_msgs_py.runtime.program import program
 
 from servo_bridge import (
+    tool_autotune,
     tool_bode,
     tool_commands,
     tool_commission,
@@ -193,6 +194,9 @@ def _parser() -> argparse.ArgumentParser:
     command = add("resonance", tool_resonance.resonance, "measure a load behind a spring; the shaft moves")
     command.description = tool_resonance.ABOUT
     tool_resonance.add_arguments(command)
+    command = add("autotune", tool_autotune.autotune, "choose and confirm the bandwidths for a load; the shaft moves")
+    command.set_defaults(check=tool_autotune.check)
+    tool_autotune.add_arguments(command)
     for name, run, text in (
         (
             "save",

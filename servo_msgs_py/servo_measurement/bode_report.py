@@ -150,8 +150,6 @@ def _finite(row: list[float]) -> list[float | None]:
 def draw(bode: Bode, path: Path) -> None:
     """Plot gain, phase and coherence over frequency, with the prediction and 95 % confidence."""
     figure = new_figure(8.0, 8.0)
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     table, good = rows(bode), bode.response.good
     gain, phase, coherence = figure.subplots(3, 1, sharex=True, height_ratios=[3, 3, 1])
     for plot, column, deviation in ((gain, 1, 3), (phase, 2, 4)):
@@ -172,10 +170,17 @@ def draw(bode: Bode, path: Path) -> None:
     coherence.semilogx(table[:, 0], table[:, 5], color="C2", linewidth=0.9)
     coherence.set_ylim(0.0, 1.05)
     coherence.set_ylabel("coherence")
-    coherence.set_xlabel("frequency [Hz]")
-    coherence.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    coherence.xaxis.set_major_formatter(FuncFormatter(lambda hertz, _: f"{hertz:g}"))
-    coherence.xaxis.set_minor_formatter(NullFormatter())
+    frequency_axis(coherence)
     coherence.grid(alpha=0.3, which="both")
     gain.set_title("\n".join(line.strip() for line in list(_lines(bode))[:3]), fontsize="small", loc="left")
     write_figure(figure, path)
+
+
+def frequency_axis(plot: Any) -> None:
+    """Label the horizontal axis of a plot over the logarithm of the frequency [Hz]."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    plot.set_xlabel("frequency [Hz]")
+    plot.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    plot.xaxis.set_major_formatter(FuncFormatter(lambda hertz, _: f"{hertz:g}"))
+    plot.xaxis.set_minor_formatter(NullFormatter())

@@ -19,6 +19,7 @@ from servo_msgs_py.trace import Trace
 from servo_msgs_py import argument
 from servo_twin.board import Board, BoardError
 from servo_twin.diagnosis import command as diagnose
+from servo_twin.identification import autotune
 from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_options, use_elf
 from servo_twin.plant import PlantConfig, PlantError
@@ -86,6 +87,7 @@ def parser() -> argparse.ArgumentParser:
     sweep.add_parser(verbs, common, _levelled(FAST_LEVEL))
     robust_command.add_parser(verbs, common, _levelled(FAST_LEVEL))
     identify.add_parser(verbs, common, _levelled(FAST_LEVEL))
+    autotune.add_parser(verbs, common, _levelled(FAST_LEVEL))
     diagnose.add_parser(verbs, common, _levelled(FAST_LEVEL))
     timing.add_parser(verbs, common)
     core_measured.add_parser(verbs, common)

@@ -13,10 +13,10 @@ from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import TICK
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
+from servo_twin.sprung_load import SprungLoad
 from servo_twin.validation.experiments import resonance, rig
-from servo_twin.validation.experiments.resonance import Case
 
-CASE = Case(150.0, 3.0)
+CASE = SprungLoad(150.0, 3.0, 0.02)
 SEED = 3
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -13,7 +13,8 @@ from servo_msgs_py.board_port import write_axis
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.trace import Trace
 
-from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.plant import PlantConfig
+from servo_twin.sprung_load import SprungLoad
 from servo_twin.validation.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.validation.experiments.rig import features, record, spinning
 
@@ -39,26 +40,10 @@ SWING_MAX: Final = 20.0  # peak to peak: a current of a quarter of its limit, wh
 FREQUENCY_ERROR: Final = 0.15  # it changes while the oscillation grows
 
 
-@dataclass(frozen=True)
-class Case:
-    """A resonance; None: a rigid shaft."""
-
-    frequency: float  # [Hz]
-    ratio: float  # inertia of the load over that of the rotor
-
-    def of(self, axis: AxisPlant) -> AxisPlant:
-        """The axis with its inertia on both ends of the spring."""
-        rotor, load = (axis.inertia * part / (1.0 + self.ratio) for part in (1.0, self.ratio))
-        reduced = rotor * load / (rotor + load)
-        stiffness = (2.0 * math.pi * self.frequency) ** 2 * reduced
-        damping = 2.0 * DAMPING * math.sqrt(stiffness * reduced)
-        return replace(axis, inertia=rotor, load_inertia=load, shaft_stiffness=stiffness, shaft_damping=damping)
-
-
-def move(plant: PlantConfig, seed: int, case: Case | None, *, observer: bool) -> list[Trace]:
+def move(plant: PlantConfig, seed: int, load: SprungLoad | None, *, observer: bool) -> list[Trace]:
     """One move of both axes, in opposite directions; speed by the M/T method or by the observer."""
-    if case is not None:
-        first, second = map(case.of, plant.axes)
+    if load is not None:
+        first, second = map(load.of, plant.axes)
         plant = replace(plant, axes=(first, second))
     with spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -76,9 +61,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for axis, rigid in enumerate(move(plant, seed, None, observer=observer)):
             judge = Judge(f"{speed}, rigid, {axis_name(axis)}, ", BEYOND)
             yield judge.none("oscillations found", float(rigid["oscillation"].any()))
-        for case in (Case(frequency, ratio) for frequency in FREQUENCIES for ratio in RATIOS):
-            recorded = move(plant, seed, case, observer=observer)
-            name = f"{speed}, {case.frequency:g} Hz, 1:{case.ratio:g}"
+        for load in (SprungLoad(frequency, ratio, DAMPING) for frequency in FREQUENCIES for ratio in RATIOS):
+            recorded = move(plant, seed, load, observer=observer)
+            name = f"{speed}, {load.frequency:g} Hz, 1:{load.ratio:g}"
             for axis, r in enumerate(recorded):
                 found += bool(r["oscillation"].any())
                 yield from _rows(Judge(f"{name}, {axis_name(axis)}, ", BEYOND), r)
