@@ -326,12 +326,13 @@ def test_calls_in_another_order_are_refused(fmu: Instance) -> None:
     [
         (lambda fmu: fmu.step(1.5), "communicationStepSize: is not a multiple of a PWM period"),
         (lambda fmu: fmu.slave.doStep(5e-3, 62.5e-6), "currentCommunicationPoint: is not the end of the last step"),
-        (lambda fmu: fmu.set("axis1.torque", float("nan")), "not a number"),
-        (lambda fmu: fmu.set("supply.u_source", float("inf")), "the value is infinite"),
+        (lambda fmu: fmu.set("axis1.torque", float("nan")), "axis1.torque: the value is not a number"),
+        (lambda fmu: fmu.set("supply.u_source", float("inf")), "supply.u_source: the value is infinite"),
         (lambda fmu: fmu.slave.enterInitializationMode(), "fmi3EnterInitializationMode: comes after"),
         (lambda fmu: fmu.set("axis1.cmd.speed", 1e6), "axis1.cmd.speed: the firmware refuses"),
-        (lambda fmu: fmu.set("axis1.fault.heat", -1.0), "fault: is negative"),
-        (lambda fmu: fmu.set("plant.axis1.r_s", 1.0), "no variable that can be set now"),
+        (lambda fmu: fmu.set("axis1.fault.heat", -1.0), "axis1.fault.heat: is negative"),
+        (lambda fmu: fmu.set("plant.axis1.r_s", 1.0), "plant.axis1.r_s: cannot be set now"),
+        (lambda fmu: fmu.set("axis1.position", 1.0), "axis1.position: is no input"),
     ],
 )
 def test_mistake_is_refused_with_a_reason_and_changes_nothing(fmu: Instance, mistake: Any, message: str) -> None:

@@ -72,6 +72,16 @@ const exported_variable_t *exported_variable(const char *name)
     return NULL;
 }
 
+/* For messages. */
+static const char *name_of(uint32_t reference)
+{
+    size_t k = 0;
+    while (k < sizeof exported_names / sizeof exported_names[0] && exported_names[k].reference != reference) {
+        k++;
+    }
+    return (k < sizeof exported_names / sizeof exported_names[0]) ? exported_names[k].name : "valueReference";
+}
+
 const char *exported_fault_name(unsigned bit)
 {
     return (bit < sizeof fault_names / sizeof fault_names[0] && fault_names[bit] != NULL) ? fault_names[bit] : "";
@@ -175,10 +185,10 @@ static exported_result_t set_input(exported_t *exported, size_t index, double va
         return failed("no such input", "valueReference");
     }
     if (isinf(value)) {
-        return refused("the value is infinite", "set");
+        return refused("the value is infinite", name_of(EXPORTED_INPUT * EXPORTED_BLOCK + (uint32_t)index));
     }
     if ((index == U_SOURCE || index % AXIS_INPUTS >= FIRST_FAULT) && value < 0.0) {
-        return refused("is negative", (index == U_SOURCE) ? "supply.u_source" : "fault");
+        return refused("is negative", name_of(EXPORTED_INPUT * EXPORTED_BLOCK + (uint32_t)index));
     }
     const bool changed = exported->data.input[index] != value;
     exported->data.input[index] = value;
@@ -212,7 +222,7 @@ static exported_result_t set_firmware(exported_t *exported, size_t k, double num
 {
     data_t *data = &exported->data;
     if (k >= FIRMWARE_VALUES || !firmware_values[k].writable) {
-        return failed("no such input", "valueReference");
+        return failed("is no input", name_of(EXPORTED_FIRMWARE * EXPORTED_BLOCK + (uint32_t)k));
     }
     const bool changed = !data->written[k] || data->firmware[k] != number;
     const double before = data->firmware[k];
@@ -241,7 +251,7 @@ exported_result_t exported_set(exported_t *exported, uint32_t reference, double 
     const unsigned block = reference / EXPORTED_BLOCK;
     const size_t index = reference % EXPORTED_BLOCK;
     if (isnan(value)) {
-        return refused("the value is not a number", "set");
+        return refused("the value is not a number", name_of(reference));
     }
     if (block == EXPORTED_INPUT) {
         return set_input(exported, index, value);
@@ -251,7 +261,7 @@ exported_result_t exported_set(exported_t *exported, uint32_t reference, double 
     }
     double *place = parameter(&exported->data.config, block, index);
     if (place == NULL || exported->board != NULL) {
-        return failed("no variable that can be set now", "valueReference");
+        return failed("cannot be set now", name_of(reference));
     }
     const range_t *range = (block == EXPORTED_BUS) ? &bus_ranges[index] : &axis_ranges[index];
     if (value < range->minimum || value > range->maximum || (range->whole && floor(value) != value)) {
