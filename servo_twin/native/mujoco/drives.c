@@ -153,6 +153,41 @@ static bool homes(exported_t *board, const drive_t *drive, coupled_axis_t *of)
     return of->homing != HOMING_ENDED;
 }
 
+/* A joint that was moved by hand is coupled anew: the firmware sees nothing, the control signal is still the joint's angle. */
+static void couple_anew(coupled_axis_t *of, double jump)
+{
+    of->offset -= jump;
+    of->zero += jump;
+    of->path = PATH_NONE;
+    of->last = NAN;
+}
+
+void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_t *drive, int axis, coupled_axis_t *of)
+{
+    const double step = m->opt.timestep;
+    board_truth_t truth;
+    double theta;
+    double omega;
+    drive_motion(m, d, drive->actuator, &theta, &omega);
+    const char *problem = board_drive_shaft(board, axis, theta + of->offset, omega, step);
+    if (problem != NULL) {
+        board_truth(board, axis, &truth);
+        const double jump = theta + of->offset - (truth.theta_m + omega * step);
+        problem = board_drive_shaft(board, axis, truth.theta_m + omega * step, omega, step);
+        if (problem == NULL) {
+            couple_anew(of, jump);
+            mju_warning(PLUGIN_NAME
+                        ": actuator %d: the joint has jumped by %g rad of the motor; the shaft is coupled to "
+                        "it anew, and angles of its switches have moved by as much",
+                        drive->actuator, jump);
+        }
+    }
+    if (problem != NULL && of->too_fast == 0) {
+        mju_warning(PLUGIN_NAME ": actuator %d: %s", drive->actuator, problem);
+    }
+    of->too_fast = (problem != NULL) ? 1 : 0;
+}
+
 /* A model without sensors of the board shows nothing else of a fault. */
 static void watch_faults(const drive_t *drive, coupled_axis_t *of, const exported_t *board)
 {

@@ -39,6 +39,8 @@ typedef struct {
     double zero; /* control signal minus set-point of the firmware, for angles [rad]; NaN: not in RUN/SPIN yet */
     double substate, waited; /* before SPIN, and time in it [s] */
     uint64_t faults; /* that are active */
+    double offset; /* angle of the shaft minus length of the actuator, after jumps of the joint [rad] */
+    uint64_t too_fast; /* 1: the joint, for the shaft */
     uint64_t homing; /* HOMING_* */
     uint64_t path; /* PATH_*: the control signal is sent as points */
     double last, before; /* control signal one point ago, and two */
@@ -46,6 +48,9 @@ typedef struct {
 
 /* Angle [rad] and speed [rad/s] of the motor of an actuator. */
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega);
+
+/* Move the shaft with its joint. */
+void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_t *drive, int axis, coupled_axis_t *of);
 
 /* Inertia of all that the motor of an actuator moves, at its shaft [kg m^2]. */
 double drive_inertia(const mjModel *m, mjData *d, int actuator);

@@ -260,14 +260,8 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
     for (int axis = 0; axis < AXES; axis++) {
         const drive_t *drive = &own->model.drive[axis];
         if (drive->actuator >= 0) {
-            double theta;
-            double omega;
             drive_command(m, d, exported, drive, axis, &head.axis[axis]);
-            drive_motion(m, d, drive->actuator, &theta, &omega);
-            const char *problem = board_drive_shaft(board, axis, theta, omega, m->opt.timestep);
-            if (problem != NULL) {
-                mju_warning(PLUGIN_NAME ": actuator %d: %s", drive->actuator, problem);
-            }
+            drive_shaft(m, d, board, drive, axis, &head.axis[axis]);
             board_truth(board, axis, &truth);
             before[axis] = truth.impulse_e;
         }
