@@ -133,7 +133,7 @@ def test_wrong_file_of_the_environment_is_named(tmp_path: Path, monkeypatch: pyt
     path = tmp_path / "junk.elf"
     path.write_bytes(b"junk")
     monkeypatch.setenv(ELF_VARIABLE, str(path))
-    with pytest.raises(BoardError, match=r"junk\.elf: this is no ELF file"):
+    with pytest.raises(ValueError, match=r"junk\.elf: this is no ELF file"):
         Board(level="registers")
 
 

@@ -241,7 +241,7 @@ def test_old_recordings_of_sessions_are_removed(tmp_path: Path) -> None:
 def test_folder_of_a_running_servo_up_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with claimed(tmp_path):
         assert main(["--out", str(tmp_path)]) == 1
-    assert f"{tmp_path} is used by another running program" in capsys.readouterr().out
+    assert f"{tmp_path} is used by another running program" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -342,7 +342,7 @@ def test_invalid_command_lines_are_refused(arguments: list[str], text: str, caps
         ("--twin-plant", "[axis1]\nr_s = -1\n", "r_s"),
         ("--thresholds", "x = 1\n", "thresholds.toml"),
         ("--robot", None, "no such file"),
-        ("--robot", "<mujoco", "XML"),
+        ("--robot", "<mujoco", "thresholds.toml: XML"),
         (
             "--robot",
             '<mujoco><custom><text name="servo.axis1" data="no"/></custom></mujoco>',
@@ -357,8 +357,7 @@ def test_files_are_checked_before_anything_is_started(
     if text is not None:
         path.write_text(text)
     assert main([option, str(path), "--out", str(tmp_path / "out")]) == 2
-    printed = capsys.readouterr()
-    assert reason in printed.out + printed.err
+    assert reason in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -18,12 +18,12 @@ from servo_measurement.motor_test import MotorTest
 from servo_measurement.motor_values import Limits
 from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
-from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.runtime.program import Interrupted, complain, deferred
 from servo_msgs_py.text_file import TextFileError, read_toml
 from servo_msgs_py.units import PERIOD_NS
 from servo_tuning.errors import ConfigError
-from servo_tuning.reading import SERVO_TOML
+from servo_tuning.reading import SERVO_TOML, complete, read_table
 
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.measurement_access import measurement_access
@@ -93,11 +93,16 @@ def check(args: argparse.Namespace) -> None:
         raise UsageError(f"no such file: {path}; write --config with the servo.toml of this board")
     try:
         args.limits = Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, args.r_on)
-        args.base = read_toml(path)
-    except TextFileError as error:
-        raise UsageError(f"{path}: {error}") from None
     except ValueError as error:
         raise UsageError(str(error)) from None
+    try:
+        args.base = read_table(path)
+        complete(args.base, Catalogue.load())
+        if args.plant is not None:
+            path = args.plant
+            read_toml(path)  # its entries are known to the twin, which evaluates the measurement
+    except (ConfigError, TextFileError) as error:
+        raise UsageError(f"{path}: {error}") from None
 
 
 def identify(context: Context) -> int:

@@ -368,6 +368,9 @@ def test_features_are_saved_by_name(
         (["tune", "bad.toml", "--dry-run"], "bad.toml: "),
         (["identify", "--voltage", "24", "--current", "4", "--config", "none.toml"], "no such file: none.toml"),
         (["identify", "--voltage", "24", "--current", "4", "--config", "bad.toml"], "bad.toml: "),
+        (["identify", "--voltage", "24", "--current", "4", "--config", "a.toml"], "a.toml: board.nominal_voltage is"),
+        (["identify", "--voltage", "24", "--current", "4", "--plant", "none.toml"], "none.toml: No such file"),
+        (["identify", "--voltage", "24", "--current", "4", "--plant", "bad.toml"], "bad.toml: "),
         (["save"], "write a FILE for the parameters"),
         (["save", "bad.toml/x.toml"], "bad.toml"),
         (["load", "none.toml"], "none.toml: No such file"),
@@ -383,6 +386,7 @@ def test_files_and_arguments_are_checked_before_the_port_is_opened(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("[")
+    Path("a.toml").write_text("[axis1]\n")
     assert tool.main([*arguments, "--port", "/none"]) == 2
     assert text in capsys.readouterr().err
 

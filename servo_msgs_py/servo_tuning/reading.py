@@ -105,6 +105,20 @@ def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
     ConfigError
         If the configuration cannot work.
     """
+    with checking(table):
+        configuration = complete(table, catalogue)
+        check(configuration, catalogue)
+    return configuration
+
+
+def complete(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
+    """Check that a parsed table has all entries, and no unknown ones; whether they can work is not checked.
+
+    Raises
+    ------
+    ConfigError
+        If an entry is missing, unknown, or outside its range.
+    """
     known = ("board", "defaults", *AXIS_NAMES)
     for name in table:
         if name not in known:
@@ -114,6 +128,4 @@ def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
     with checking(table):
         board = Board.of(table.get("board", {}), catalogue.board)
         axes = tuple(Axis.of(table, name, feature_names, fault_names) for name in AXIS_NAMES)
-        configuration = Configuration(board, axes, Scales.of(catalogue), table)
-        check(configuration, catalogue)
-    return configuration
+    return Configuration(board, axes, Scales.of(catalogue), table)

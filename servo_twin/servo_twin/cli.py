@@ -22,9 +22,9 @@ from servo_twin.diagnosis import command as diagnose
 from servo_twin.identification import autotune
 from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_options, use_elf
-from servo_twin.plant import PlantConfig, PlantError
+from servo_twin.plant import PlantConfig
 from servo_twin.robot import command as robot
-from servo_twin.servo_config import ServoConfig, servo_table
+from servo_twin.servo_config import ServoConfig
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, turns
 from servo_twin.validation.experiments import command as experiment
 from servo_twin.validation.sweep import command as sweep
@@ -107,7 +107,7 @@ def _board(args: argparse.Namespace) -> Board:
 
 def _export(args: argparse.Namespace) -> int:
     plant = PlantConfig.load(args.plant)
-    servo = ServoConfig.of_table(servo_table(args.config)) if args.config else None
+    servo = ServoConfig.load(args.config) if args.config else None
     result: dict[str, object]
     if args.mjcf:
         result = {"mjcf": str(args.mjcf), "errors": robot.export_mjcf(args.mjcf, plant, args.seed, servo)}
@@ -212,7 +212,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0: success, 1: the run failed, 2: wrong usage, a file that cannot be opened, or a wrong plant; else `program`.
+        0: success, 1: the run failed, 2: wrong usage, or a file that cannot be opened or used; else `program`.
     """
     args = parser().parse_args(argv)
     try:
@@ -221,7 +221,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(args.run(args))
     except (BoardError, SimulationError, ValueError) as error:
         print(f"servo-sim: {error}", file=sys.stderr)
-        return 2 if isinstance(error, PlantError) else 1
+        return 2 if isinstance(error, ValueError) else 1
 
 
 if __name__ == "__main__":

@@ -30,6 +30,8 @@ FAST_LEVEL: Final[Level] = "ideal"
 ELF_BYTES_MAX: Final = 16_000_000
 """Largest ELF file, with the information for a debugger."""
 
+_ELF_MARK: Final = b"\x7fELF"
+
 LEVELS: Final[tuple[Level, ...]] = get_args(Level)
 
 
@@ -54,17 +56,20 @@ def chosen_elf() -> bytes | None:
     Raises
     ------
     ValueError
-        If it cannot be read, or is too large.
+        If it cannot be read, is too large, or is no ELF file.
     """
     name = os.environ.get(ELF_VARIABLE)
     if not name:
         return None
     try:
-        return read_bytes(Path(name), ELF_BYTES_MAX)
+        data = read_bytes(Path(name), ELF_BYTES_MAX)
     except OSError as error:
         raise ValueError(f"{name}: {error.strerror}") from None
     except TextFileError as error:
         raise ValueError(f"{name}: {error}") from None
+    if not data.startswith(_ELF_MARK):
+        raise ValueError(f"{name}: this is no ELF file; `make firmware` makes one")
+    return data
 
 
 def add_level_options(parser: argparse.ArgumentParser, what: str, default: str = DEFAULT_LEVEL) -> None:

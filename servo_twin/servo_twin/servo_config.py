@@ -15,10 +15,8 @@ from servo_tuning.configuration import Configuration
 from servo_tuning.constants import time_outs
 from servo_tuning.errors import ConfigError
 from servo_tuning.passwords import password_hashes
-from servo_tuning.reading import SERVO_TOML, parse, read_table
+from servo_tuning.reading import SERVO_TOML, complete, parse, read_table
 from servo_tuning.tuned import tuned
-
-from servo_twin.board_memory import SimulationError
 
 
 @dataclass(frozen=True)
@@ -37,6 +35,15 @@ class ServoConfig:
             {**brake_constants(configuration), **time_outs(configuration.board)},
             password_hashes(configuration.board.passwords),
         )
+
+    @classmethod
+    def load(cls, path: Path) -> ServoConfig:
+        """Compute the integers for a file. Raises `ConfigError` with its name if it cannot work."""
+        table = servo_table(path)
+        try:
+            return cls.of_table(table)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> ServoConfig:
@@ -67,12 +74,14 @@ def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
 
     Raises
     ------
-    SimulationError
-        If the file does not exist or is no TOML.
+    ConfigError
+        If the file does not exist, is no TOML or is not complete; with its name.
     """
     if not path.is_file():
-        raise SimulationError(f"no such file: {path}")
+        raise ConfigError(f"no such file: {path}")
     try:
-        return read_table(path)
+        table = read_table(path)
+        complete(table, Catalogue.load())
+        return table
     except ConfigError as error:
-        raise SimulationError(f"{path}: {error}") from None
+        raise ConfigError(f"{path}: {error}") from None

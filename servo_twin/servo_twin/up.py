@@ -26,11 +26,11 @@ from servo_msgs_py.run_file.series import segments, split
 from servo_msgs_py.runtime.claim import ClaimError, claimed
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.node_name import taken
-from servo_msgs_py.runtime.program import Interrupted, deferred, program
+from servo_msgs_py.runtime.program import Interrupted, complain, deferred, program
 from servo_msgs_py.runtime.ros_arguments import parameter_arguments
 
 from servo_msgs_py import argument, board_parameters
-from servo_twin.board import SimulationError, needs_elf
+from servo_twin.board import BoardError, SimulationError, needs_elf
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import (
     DEFAULT_LEVEL,
@@ -376,7 +376,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         use_elf(args)
         _check_inputs(args)
     except (SimulationError, ValueError) as error:
-        _print(f"servo-up: {error}")
+        complain(f"servo-up: {error}")
         return 2
     environment = _environment(args)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -385,7 +385,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         with claimed(args.out.resolve()):
             return _session(args, environment, record)
     except ClaimError as error:
-        _print(f"servo-up: {error}")
+        complain(f"servo-up: {error}")
         return 1
     except Interrupted as interruption:
         return interruption.status if args.demo else 0
@@ -413,8 +413,8 @@ def _session(args: argparse.Namespace, environment: dict[str, str], record: Path
         except Interrupted as stopped:
             _print("\nstopping: outputs off, then all processes")
             interrupted, status = True, stopped.status if args.demo else 0
-        except (ChildError, ValueError) as error:
-            _print(f"servo-up: {error}")
+        except (BoardError, ChildError, SimulationError, ValueError) as error:
+            complain(f"servo-up: {error}")
             status = 1
         finally:
             with deferred() as stop:
@@ -429,7 +429,7 @@ def _session(args: argparse.Namespace, environment: dict[str, str], record: Path
         try:
             _finish_demo(record, args.out)
         except (ChildError, ValueError) as error:
-            _print(f"servo-up: {error}")
+            complain(f"servo-up: {error}")
             status = status or 1
         except Interrupted:
             _print(f"\nstopped; the recording is in {record}, the picture was not drawn")

@@ -72,7 +72,7 @@ def test_an_invalid_file_is_refused_with_its_name(
 ) -> None:
     file = tmp_path / f"{option}.toml"
     file.write_text(text)
-    assert main(["core-speed", f"--{option}", str(file)]) == 1
+    assert main(["core-speed", f"--{option}", str(file)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"servo-sim: {file}: ")
     assert why in error

@@ -422,5 +422,5 @@ def test_the_command_prints_detections_and_errors(capsys: pytest.CaptureFixture[
     shown = capsys.readouterr().out
     assert ["flux", "1", "1"] in [line.split()[:3] for line in shown.splitlines()]
     assert "false alarms: 0 in 0.00 simulated hours" in shown
-    assert cli.main(["diagnose", "--change", "colour=2"]) == 1
+    assert cli.main(["diagnose", "--change", "colour=2"]) == 2
     assert "'colour=2': write NAME=FACTOR" in capsys.readouterr().err

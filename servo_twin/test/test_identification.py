@@ -472,7 +472,7 @@ def test_truncated_or_foreign_recording_is_reported(
 ) -> None:
     content = (folder / "measurement.npz").read_bytes()
     (tmp_path / "part.npz").write_bytes(b"# no recording\n" if part is None else content[:part])
-    assert main(["identify", "--recording", str(tmp_path / "part.npz"), "--out", str(tmp_path)]) == 1
+    assert main(["identify", "--recording", str(tmp_path / "part.npz"), "--out", str(tmp_path)]) == 2
     messages = capsys.readouterr().err
     assert "is not a complete measurement" in messages
     assert "pickle" not in messages

@@ -245,7 +245,7 @@ def test_command_writes_figures_and_a_plot(mjcf: Any, tmp_path: Path, capsys: py
     assert main(["robot", str(tmp_path / "robot.xml"), "--time", "0.1", "--json", "--plot", str(plot)]) == 0
     assert json.loads(capsys.readouterr().out)["elbow"]["error_max"] < 1e-3
     assert plot.stat().st_size > 10_000
-    assert main(["robot", str(tmp_path / "none.xml")]) == 1
+    assert main(["robot", str(tmp_path / "none.xml")]) == 2
     assert "none.xml: no such file" in capsys.readouterr().err
     assert main(["robot", "arm", "--time", "0.1"]) == 0
     assert "elbow     TRAJECTORY" in capsys.readouterr().out

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from servo_twin.board import Board
 from servo_twin.cli import main
+from servo_twin.level import ELF_VARIABLE
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError, enable, move, turns
 
@@ -80,6 +81,42 @@ def test_an_invalid_plant_file_is_reported(
     plant.write_text(content)
     assert main(["move", "--plant", str(plant)]) == 2
     assert message in capsys.readouterr().err
+
+
+INPUTS = [
+    "info --plant",
+    "info --elf",
+    "export --fmu x.fmu --config",
+    "export --fmu x.fmu --plant",
+    "identify --config",
+    "identify --recording",
+    "sweep move --vary servo.axis1.motor.r_s=1,2 --config",
+    "diagnose --thresholds",
+    "core-speed --core",
+    "core-speed --measured",
+]
+
+
+@pytest.mark.parametrize("words", INPUTS)
+@pytest.mark.parametrize("content", [None, b"[", b"x = 1\n", b"\xff\xfe"])
+def test_an_input_that_cannot_be_used_is_one_line_with_its_name(
+    words: str,
+    content: bytes | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(ELF_VARIABLE, "")  # restored at the end: the option sets it
+    file = tmp_path / "[1] #2"
+    if content is not None:
+        file.write_bytes(content)
+    assert main([*words.split(), str(file)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("servo-sim: ")
+    assert str(file) in error
+    assert error.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} <= {file.name}
 
 
 def test_a_locked_shaft_is_reported() -> None:

@@ -328,14 +328,14 @@ def test_invalid_options_are_reported(tmp_path: Path, capsys: pytest.CaptureFixt
         ([*VARY, "--count", "5", "--trial", "5"], "no trial 5; trials: 0 .. 4"),
         (["--vary", "servo.axis1.motor.r_s=1,2", "--config", "none.toml"], "no such file: none.toml"),
     ):
-        assert sweep(*words, "--out", str(tmp_path / "none")) == 1
+        assert sweep(*words, "--out", str(tmp_path / "none")) == 2
         assert message in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 
 def test_results_of_a_running_sweep_are_not_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with claimed(tmp_path / RESULTS):
-        assert sweep(*VARY, "--count", "5", "--out", str(tmp_path), "--resume") == 1
+        assert sweep(*VARY, "--count", "5", "--out", str(tmp_path), "--resume") == 2
     assert f"{tmp_path / RESULTS} is used by another running program" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

@@ -110,6 +110,6 @@ def test_a_tuned_file_is_better_and_can_be_sent(tmp_path: Path, capsys: pytest.C
 def test_invalid_options_are_reported(
     words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main([*WORDS, *words, "--out", str(tmp_path / "none")]) == 1
+    assert cli.main([*WORDS, *words, "--out", str(tmp_path / "none")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "none").exists()

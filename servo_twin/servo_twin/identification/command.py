@@ -29,7 +29,6 @@ from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
 from servo_twin.servo_config import servo_table
-from servo_twin.simulation import SimulationError
 
 _HELP: Final = """\
 Identify the motor: resistance, inductances, flux, pole pairs, inertia, friction, load, voltage error of dead time and
@@ -135,7 +134,7 @@ def _run(args: argparse.Namespace) -> int:
             log = MeasurementLog.load(args.recording)
             problem = str(log.notes.get("problem", ""))
         except MeasurementError as error:
-            raise SimulationError(str(error)) from None
+            raise ValueError(str(error)) from None
         limits = Limits(**log.notes["limits"])
     else:
         real = plant

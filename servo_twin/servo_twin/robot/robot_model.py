@@ -46,16 +46,18 @@ class RobotModel:
     Raises
     ------
     CouplingError
-        If a text or number of its ``<custom>`` part with the prefix ``servo.`` is wrong.
-    ValueError
-        If MuJoCo cannot read the file.
+        If MuJoCo cannot read the file, or a text or number of its ``<custom>`` part with the prefix ``servo.`` is
+        wrong.
     """
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
             raise CouplingError(f"{path}: no such file")
         self.path = path
-        self.model = mujoco.MjModel.from_xml_path(str(path))
+        try:
+            self.model = mujoco.MjModel.from_xml_path(str(path))
+        except ValueError as error:
+            raise CouplingError(f"{path}: {' '.join(str(error).split())}") from None
         self._plant: list[tuple[int, str, float]] = []  # board, name in the plant file, value
         self._config: list[tuple[int, str, object]] = []  # board, name in servo.toml, value
         self._parameters: list[Assignment] = []  # of every board

@@ -36,7 +36,7 @@ from servo_twin.runs.member_search import explain
 from servo_twin.runs.recorded import DEFAULT_NAMESPACE, RecordedRun
 from servo_twin.runs.replay import Replay, WhatIf, model_of
 from servo_twin.runs.replay_output import McapOutput, RrdOutput
-from servo_twin.servo_config import ServoConfig, servo_table
+from servo_twin.servo_config import ServoConfig
 from servo_twin.view import layouts
 
 DIVERGENCE, BAD_INPUT = 1, 2
@@ -242,7 +242,7 @@ def _replay(args: argparse.Namespace) -> int:
     level = chosen_level(args.level, default=FAST_LEVEL)
     what_if = WhatIf(
         PlantConfig.load(args.plant) if args.plant else None,
-        ServoConfig.of_table(servo_table(args.config)) if args.config else None,
+        ServoConfig.load(args.config) if args.config else None,
         level,
         args.seed,
         firmware_of(args.firmware) if args.firmware else None,
