@@ -141,6 +141,16 @@ def test_torque_is_that_of_the_air_gap() -> None:
     assert np.mean(torques[20:], axis=0) == pytest.approx([0.01, -0.02], rel=0.03)
 
 
+def test_set_point_beyond_the_firmware_is_named_once(warnings: list[str]) -> None:
+    model, data = started(arm("shoulder TORQUE", "elbow SPEED"))
+    for torque in (9.0, 8.0, 7.0, 0.01, 6.0):
+        data.ctrl[1] = torque
+        data.ctrl[0] = torque
+        run(model, data, 10)
+    assert [one.partition(" = ")[0] for one in warnings] == 2 * ["servo.board: actuator 0: axis1.cmd.i_q"]
+    assert "the firmware refuses the value, and keeps the last one; limit ctrl" in warnings[0]
+
+
 def test_paths_are_followed_with_their_feed_forward(warnings: list[str]) -> None:
     """Sines of 1 Hz, which begin at rest; then a jump, which the firmware refuses and makes as a move."""
     model, data = started(arm("shoulder TRAJECTORY", "elbow TRAJECTORY"))

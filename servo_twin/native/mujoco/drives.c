@@ -102,6 +102,18 @@ void drive_follow(const mjModel *m, const mjData *d, const drive_t drive[AXES], 
     }
 }
 
+static void give(exported_t *board, const drive_t *drive, coupled_axis_t *of, double set_point)
+{
+    const exported_result_t result = exported_set(board, drive->set_point, set_point);
+    const bool refused = result.status != EXPORTED_DONE;
+    if (refused && of->refused == 0) { /* once, not in every step */
+        mju_warning(PLUGIN_NAME
+                    ": actuator %d: %s = %g: %s, and keeps the last one; limit ctrl, for example by ctrlrange",
+                    drive->actuator, result.where, set_point, result.what);
+    }
+    of->refused = refused ? 1 : 0;
+}
+
 /* A path begins where the shaft has been moved to. */
 static void approach(const drive_t *drive, coupled_axis_t *of, double signal, exported_t *board)
 {
@@ -117,7 +129,7 @@ static void approach(const drive_t *drive, coupled_axis_t *of, double signal, ex
         of->path = PATH_BEGINS;
         warn(exported_set(board, drive->mode_command, CONTROL_MODE_TRAJECTORY));
     } else {
-        warn(exported_set(board, drive->set_point, target));
+        give(board, drive, of, target);
     }
 }
 
@@ -265,13 +277,13 @@ void drive_command(const mjModel *m, const mjData *d, exported_t *board, const d
         }
         break;
     case CONTROL_MODE_POSITION:
-        warn(exported_set(board, drive->set_point, signal - of->zero));
+        give(board, drive, of, signal - of->zero);
         break;
     case CONTROL_MODE_TORQUE:
-        warn(exported_set(board, drive->set_point, signal / torque_constant(board, drive, axis)));
+        give(board, drive, of, signal / torque_constant(board, drive, axis));
         break;
     default:
-        warn(exported_set(board, drive->set_point, signal));
+        give(board, drive, of, signal);
         break;
     }
 }

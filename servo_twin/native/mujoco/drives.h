@@ -41,6 +41,7 @@ typedef struct {
     uint64_t faults; /* that are active */
     double offset; /* angle of the shaft minus length of the actuator, after jumps of the joint [rad] */
     uint64_t too_fast; /* 1: the joint, for the shaft */
+    uint64_t refused; /* 1: the last set-point */
     uint64_t homing; /* HOMING_* */
     uint64_t path; /* PATH_*: the control signal is sent as points */
     double last, before; /* control signal one point ago, and two */
