@@ -146,23 +146,24 @@ def _dither(design: Tuned) -> Iterator[Problem]:
 def _blind(design: Tuned) -> Iterator[Problem]:
     """The drive finds no oscillation if the current limit does not permit the smallest swing that counts.
 
-    A slower speed loop is no remedy. Random heavy shafts with 0.03 to 0.3 of the bandwidth passed their target by 7 to
-    21 counts and stayed there for half a minute: the rate of the integral part, which reverses the friction current,
-    falls with the square of the bandwidth. With the whole bandwidth they arrived.
+    The current limit is that of motor and inverter, and a slower speed loop is no remedy: random heavy shafts with 0.03
+    to 0.3 of the bandwidth passed their target by 7 to 21 counts and stayed there for half a minute. The rate of the
+    integral part, which reverses the friction current, falls with the square of the bandwidth. With the whole bandwidth
+    they arrived.
     """
     axis, swing = design.axis, design.oscillation_swing
     if swing <= 2.0 * axis("limits.current"):
         return
-    changes = [higher("limits.current")]
+    changes = []
     if axis.feedback != FEEDBACKS[0]:
-        changes.insert(0, lower("observer.speed_part"))
+        changes.append(lower("observer.speed_part"))
     elif axis("encoder.lines") < COUNTS_PER_TURN / 4:  # the position has no finer counts
-        changes.insert(0, higher("encoder.lines"))
+        changes.append(higher("encoder.lines"))
     reason = (
         f"{DITHER_COUNTS} counts per slow tick cause a swing of {swing:.3g} A, more than the current limit permits:"
     )
-    advice = "keep it: a speed loop slow enough to find one would overcome friction late"
-    yield axis.problem(changes[0].entry, f"{reason} the drive will not find an oscillation", *changes, advice)
+    advice = "raise the current if motor and inverter permit; a speed loop slow enough would overcome friction late"
+    yield axis.problem("limits.current", f"{reason} the drive will not find an oscillation", *changes, advice)
 
 
 def _inertias(design: Tuned, figures: Assessment) -> Iterator[Problem]:
