@@ -199,6 +199,18 @@ def test_current_loop_is_an_integrator_with_one_period_of_delay() -> None:
     assert loop.phase == pytest.approx(90.0 - 360.0 * loop.crossover / 16000.0, abs=1.0)
 
 
+@pytest.mark.parametrize(("bandwidth", "lag"), [(500.0, 9.46), (1000.0, 9.46), (1600.0, 4.0), (1778.0, 0.0)])
+def test_the_integral_part_of_a_current_loop_is_as_fast_as_its_margin_permits(bandwidth: float, lag: float) -> None:
+    """A winding with L / R = 10 ms: pole-zero cancellation would let dead time hold its current for long."""
+    it = axis(axis1__motor__r_s=0.0512, axis1__control__current_bandwidth=bandwidth)
+    delayed = 90.0 - 360.0 * bandwidth / 16000.0
+    phase = it.current_loop("q").margins().phase
+    assert phase == pytest.approx(delayed - lag, abs=2.0)
+    q, omega = it.designed.current_q, 2.0 * math.pi * bandwidth
+    corner = q.ki / q.kp * 16000.0
+    assert corner == pytest.approx(max(omega * math.tan(math.radians(lag)), 100.0), rel=0.02)
+
+
 def test_current_loop_with_rarer_samples_has_less_margin() -> None:
     fast = axis().current_loop("q")
     slow = CurrentLoop(fast.resistance, fast.inductance, fast.gains, 2.0 * fast.period)
@@ -456,6 +468,7 @@ def test_back_calculation_is_not_much_faster_than_the_integral_part(bandwidth: f
     design = axis(
         axis1__control__speed_bandwidth=bandwidth,
         axis1__control__position_gain=4.0,
+        axis1__control__current_bandwidth=300.0,
         axis1__motor__l_q=4e-3,
         axis1__rotor_search__current=0.8,
     )

@@ -26,6 +26,7 @@ SEED = 1
 DRIVEN = (
     *((SEED, number) for number in (1, 7, 24, 36)),  # as they are, or after other bandwidths; with 2 .. 21 pole pairs
     (3, 98),  # 0.0048 kg m^2; a speed loop slow enough to find an oscillation passed the target and stayed there
+    (3, 60),  # L / R = 4.8 ms: a slow integral part of the current controller let dead time hold the current
 )
 """Seeds and numbers of accepted motors."""
 REFUSED = (
