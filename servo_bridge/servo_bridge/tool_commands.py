@@ -299,6 +299,10 @@ def log(context: Context) -> int:
                 time.sleep(_LOG_POLL)
     except KeyboardInterrupt:
         pass
+    except StatusError as error:
+        pipes = context.session.info.pipes
+        print(f"servo-tool: pipe {context.args.pipe}: {error.meaning}; the board reports {pipes} pipes", file=sys.stderr)
+        return 1
     return 0
 
 

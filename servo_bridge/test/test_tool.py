@@ -377,6 +377,7 @@ def test_features_are_saved_by_name(
         (["diff", "bad.toml"], "bad.toml: "),
         (["record", "u_dc", "-o", "a.csv", "-o", "b.csv"], "only one output file"),
         (["record", "u_dc", "-o", "a.csv", "--level"], "--level needs a trigger"),
+        (["record", "u_dc", "-o", "a.csv", "--before", "9"], "--before needs a trigger"),
         (["record", "u_dc", "-o", "a.csv", "--points", "9", "--duration", "1"], "--duration is not for bursts"),
         (["scope", "u_dc", "--level"], "--level needs a trigger"),
     ],
@@ -540,7 +541,7 @@ def test_log_prints_the_text_of_the_board(
     assert run("log") == 0
     assert capsys.readouterr().out == "", "printed lines are removed from the pipe"
     assert run("log", "--pipe", "2") == 1
-    assert "pipe error" in capsys.readouterr().err
+    assert "pipe 2: pipe error; the board reports 0 pipes" in capsys.readouterr().err
     assert run("log", "--pipe", "200") == 1
     assert "pipe 200 is not 1 .. 127" in capsys.readouterr().err
 

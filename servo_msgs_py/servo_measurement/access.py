@@ -164,7 +164,8 @@ def refuse_faults(access: BoardAccess, axis: int, *accepted: str) -> None:
     faults = [fault for fault in active if fault.name not in accepted]
     if faults:
         text = "; ".join(f"{fault.name}: {fault.cause}. {fault.remedy}".rstrip(". ") for fault in faults)
-        raise MeasurementError(f"{axis_name(axis)} has a fault. {text}", about=FAULT)
+        clear = f"cmd.clear_faults[{axis}] = 1 clears it, if its cause is gone"
+        raise MeasurementError(f"{axis_name(axis)} has a fault. {text}; {clear}", about=FAULT)
 
 
 @contextmanager

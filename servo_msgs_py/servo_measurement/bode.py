@@ -90,7 +90,7 @@ def measure(
         If the measurement is not possible; undetermined figures are not an error.
     """
     settings, prediction, bands = complete_settings(access, request)
-    refuse_settings(access, settings, bands)
+    refuse_settings(access, request, settings, bands)
     report(motion_text(settings, bands))
     sweeps = len(bands) * settings.repeats
     total = sweeps + (sweeps if request.half else _CHECKS)

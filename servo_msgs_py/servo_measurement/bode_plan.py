@@ -15,6 +15,7 @@ from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
+from servo_measurement.dead_time import rounded_down, rounded_up
 from servo_measurement.frequency_response import GROUPS
 from servo_measurement.prediction import Candidate, Prediction, predict
 from servo_measurement.running_axis import SETTLE
@@ -171,8 +172,10 @@ def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Ban
     loop_step = step_of(1, slow)
     highest = 0.5 * _NYQUIST_PART / loop_step
     top = min(f_max, highest)
-    if not 0.0 < f_min < top:
-        raise MeasurementError(f"the band {f_min:g} .. {f_max:g} Hz must be between 0 and {highest:g} Hz")
+    if not 0.0 < f_min < highest:
+        raise MeasurementError(f"the lower end {f_min:g} Hz of the band must be between 0 and {highest:g} Hz")
+    if not f_min < f_max:
+        raise MeasurementError(f"the lower end {f_min:g} Hz of the band must be below its upper end, {f_max:g} Hz")
     bands: list[Band] = []
     while True:
         longest = max(int(0.5 * _NYQUIST_PART / (top * loop_step)), 1)
@@ -264,31 +267,32 @@ def refuse_without_encoder(access: BoardAccess, axis: int) -> None:
         )
 
 
-def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Band]) -> None:
+def refuse_settings(access: BoardAccess, request: BodeRequest, settings: Settings, bands: Sequence[Band]) -> None:
     """Raise an error if the axis cannot execute the measurement, or a limit of the axis or the user forbids it."""
     name, loop = axis_name(settings.axis), settings.loop
     refuse_without_encoder(access, settings.axis)
     longest = max(band.rotation_seconds for band in bands)
     if longest > _TIME_MAX:
+        possible = _lowest_frequency(bands[0].samples, loop.slow)
         raise MeasurementError(
             f"with a lowest frequency of {settings.f_min:.3g} Hz a recording would take {longest:.3g} s, more than "
-            f"{_TIME_MAX:g} s; use a higher lowest frequency"
+            f"{_TIME_MAX:g} s; use a lowest frequency of at least {rounded_up(possible):g} Hz"
         )
     speed_limit = access.read("param.speed_limit")[settings.axis]
     current_limit = access.read("param.i_q_limit")[settings.axis]
     if not settings.amplitude > 0.0:
         raise MeasurementError(f"the amplitude {settings.amplitude:g} {loop.unit} must be above 0")
-    fastest = abs(settings.speed) + settings.speed_amplitude
-    if fastest > speed_limit:
-        raise MeasurementError(
-            f"the speed with the test signal, {fastest:.4g} rad/s, exceeds the limit of {name}, "
-            f"{speed_limit:.4g} rad/s (param.speed_limit); use a lower speed"
-        )
     maximum = (0.5 if loop.slow else BASE_PART / _BASE_RATIO) * current_limit
     if loop.name != "position" and settings.amplitude > maximum:
         raise MeasurementError(
             f"an amplitude of {settings.amplitude:.4g} A is too large for the limit of {name}, {current_limit:.4g} A "
-            f"(param.i_q_limit); use at most {maximum:.4g} A"
+            f"(param.i_q_limit); use an amplitude of at most {rounded_down(maximum):g} A"
+        )
+    fastest = abs(settings.speed) + settings.speed_amplitude
+    if fastest > speed_limit:
+        raise MeasurementError(
+            f"the speed with the test signal, {fastest:.4g} rad/s, exceeds the limit of {name}, "
+            f"{speed_limit:.4g} rad/s (param.speed_limit); {_slower(request, settings, speed_limit)}"
         )
     if settings.speed and not loop.slow:
         raise MeasurementError("a current loop is measured at standstill; omit the speed")
@@ -303,6 +307,25 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
             f"{settings.travel_max:.3g} rad; use a lower speed, a smaller amplitude, a higher lowest "
             "frequency, or a wider range"
         )
+
+
+def _lowest_frequency(capacity: int, slow: bool) -> float:
+    """Lowest frequency of a recording of the longest permitted time [Hz]; see `bands_of`."""
+    loop_step = step_of(1, slow)
+    every = int((_TIME_MAX - SETTLE - LINE) / (capacity * loop_step))
+    return _CYCLES_MIN / (SWEEP_PART * capacity * every * loop_step)
+
+
+def _slower(request: BodeRequest, settings: Settings, limit: float) -> str:
+    """What keeps the speed with the test signal within a limit [rad/s]."""
+    speed, excursion = abs(settings.speed), settings.speed_amplitude
+    if request.amplitude is None:  # the default falls with the speed
+        return f"use a speed of at most {rounded_down(limit / (1.0 + _EXCURSION)):g} rad/s"
+    if excursion < limit:
+        return f"use a speed of at most {rounded_down(limit - excursion):g} rad/s"
+    room = limit - speed if speed < limit else (1.0 - _SPEED_PART[settings.loop.name]) * limit
+    text = f"use an amplitude of at most {rounded_down(settings.amplitude * room / excursion):g} {settings.loop.unit}"
+    return text if speed < limit else f"{text}, and a speed of at most {rounded_down(limit - room):g} rad/s"
 
 
 def _refuse_brake(access: BoardAccess, axis: int) -> None:

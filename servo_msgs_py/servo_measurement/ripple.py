@@ -152,7 +152,7 @@ class _RippleRig(RunningAxis):
         if state != "KNOWN":
             raise MeasurementError(
                 f"the angle of {self.name} is not known, its home state is {state}: home the axis first, with "
-                f"`servo-command home {self.name}` or cmd.home; the harmonics refer to its home position"
+                f"cmd.home[{self.axis}] or `servo-command home`; the harmonics refer to its home position"
             )
 
     def plan(self, speed: float | None) -> _Plan:

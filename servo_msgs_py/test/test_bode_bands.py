@@ -32,6 +32,8 @@ def test_bands_cover_the_requested_range(slow: bool, capacity: int, low: float, 
 
 
 def test_invalid_band_is_refused() -> None:
-    for low, high in ((900.0, 950.0), (100.0, 50.0), (0.0, 10.0)):
+    for low, high in ((900.0, 950.0), (900.0, 50.0), (0.0, 10.0)):
         with pytest.raises(MeasurementError, match="must be between 0 and 800 Hz"):
             bands_of(low, high, 1000, True)
+    with pytest.raises(MeasurementError, match="100 Hz of the band must be below its upper end, 50 Hz"):
+        bands_of(100.0, 50.0, 1000, True)

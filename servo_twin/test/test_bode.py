@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 from servo_measurement.access import Capture, MeasurementError
 from servo_measurement.bode import Bode, measure
-from servo_measurement.bode_plan import LOOPS, BodeRequest
+from servo_measurement.bode_plan import LOOPS, BodeRequest, complete_settings, refuse_settings
 from servo_measurement.bode_report import as_dict, draw, text
 from servo_measurement.test_signal import end_test_signal
 from servo_msgs_py.axis_config import AxisConfigTable
@@ -179,6 +180,40 @@ def test_other_axis_still_stops_when_its_set_points_expire(access: VirtualBoardA
     assert places[-1] == pytest.approx(places[1], abs=0.1)
 
 
+@pytest.mark.parametrize(
+    "refused",
+    [
+        BodeRequest(0, "speed", speed=1000.0),
+        BodeRequest(0, "speed", speed=-310.0),
+        BodeRequest(0, "speed", speed=300.0, amplitude=1.9),
+        BodeRequest(0, "speed", amplitude=3.0),
+        BodeRequest(1, "current", amplitude=2.0),
+        BodeRequest(0, "position", amplitude=400.0),
+        BodeRequest(0, "position", amplitude=300.0, speed=100.0),
+        BodeRequest(0, "position", amplitude=400.0, speed=400.0),
+        BodeRequest(0, "position", f_min=0.05),
+        BodeRequest(0, "speed", gain=0.01),
+    ],
+    ids=str,
+)
+def test_values_that_a_refusal_names_are_accepted(access: VirtualBoardAccess, refused: BodeRequest) -> None:
+    with pytest.raises(MeasurementError) as caught:
+        plan(access, refused)
+    names = {"speed": "speed", "amplitude": "amplitude", "lowest frequency": "f_min"}
+    found = re.findall(r"(speed|amplitude|lowest frequency) of at (?:most|least) ([\d.]+)", str(caught.value))
+    assert found, caught.value
+    changes: dict[str, Any] = {names[name]: float(value) for name, value in found}
+    if refused.speed is not None and "speed" in changes:
+        changes["speed"] = math.copysign(changes["speed"], refused.speed)
+    plan(access, replace(refused, **changes))
+
+
+def plan(access: VirtualBoardAccess, request: BodeRequest) -> None:
+    """Raise a `MeasurementError` if a measurement is not possible."""
+    settings, _, bands = complete_settings(access, request)
+    refuse_settings(access, request, settings, bands)
+
+
 def test_measurement_beyond_the_limits_is_refused_without_motion(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
@@ -188,8 +223,8 @@ def test_measurement_beyond_the_limits_is_refused_without_motion(access: Virtual
         (BodeRequest(0, "current", amplitude=2.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", speed=10.0), "omit the speed"),
         (BodeRequest(0, "speed", speed=50.0, travel_max=5.0), "use a lower speed"),
-        (BodeRequest(0, "position", f_min=0.05), "use a higher lowest frequency"),
-        (BodeRequest(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
+        (BodeRequest(0, "position", f_min=0.05), "use a lowest frequency of at least 0"),
+        (BodeRequest(0, "speed", f_min=300.0, f_max=200.0), "300 Hz of the band must be below"),
         (BodeRequest(0, "position", amplitude=280.0, f_min=300.0, f_max=700.0), "cmd.test_amplitude: 0.53"),
     ):
         with pytest.raises(MeasurementError, match=why):

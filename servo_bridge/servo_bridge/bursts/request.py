@@ -66,6 +66,8 @@ class BurstRequest:
         """Create from the options of `add_options`, with ``names`` and ``rate``."""
         if args.level and args.trigger is None:
             raise UsageError("--level needs a trigger; add --trigger")
+        if args.before is not None and args.trigger is None:
+            raise UsageError("--before needs a trigger; add --trigger")
         return cls(
             tuple(args.names), args.recorder or _FAST, args.trigger, args.level, args.before, args.points, args.rate
         )
