@@ -301,7 +301,9 @@ def log(context: Context) -> int:
         pass
     except StatusError as error:
         pipes = context.session.info.pipes
-        print(f"servo-tool: pipe {context.args.pipe}: {error.meaning}; the board reports {pipes} pipes", file=sys.stderr)
+        print(
+            f"servo-tool: pipe {context.args.pipe}: {error.meaning}; the board reports {pipes} pipes", file=sys.stderr
+        )
         return 1
     return 0
 
