@@ -219,12 +219,6 @@ class Homing(Part):
             except NotReady as error:
                 return answered(False, str(error))
         value = round(joint.motor_position(self.positions[axis]) / self._lsb)
-        low, high = self._catalogue["cmd.home_position"].raw_range
-        if not low <= value <= high:
-            position = self.positions[axis]
-            return answered(
-                False, f"home_positions of {joint.name} is {position:g} rad: outside the range of the board"
-            )
         self._axes[axis].memory.until = None  # the new homing replaces the restoring
         for job in [job for job in self._jobs if job.axis == axis]:
             self._jobs.remove(job)

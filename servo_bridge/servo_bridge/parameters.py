@@ -311,7 +311,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         run=_run(values),
         tuning=values["tuning"],
         preferred_source=_preferred_source(values["preferred_source"], names),
-        home_positions=_home_positions(values),
+        home_positions=_home_positions(values, catalogue),
         restore_positions=values["restore_positions"],
     )
 
@@ -358,10 +358,16 @@ def _preferred_source(topic: str, joints: Sequence[str]) -> str:
     return topic
 
 
-def _home_positions(values: Mapping[str, Any]) -> tuple[float, ...]:
+def _home_positions(values: Mapping[str, Any], catalogue: Catalogue) -> tuple[float, ...]:
     numbers = _per_joint(values, "home_positions")
-    if not all(map(math.isfinite, numbers)):
-        raise ParameterError(f"parameter home_positions is {list(numbers)}; write finite numbers")
+    reference = catalogue["cmd.home_position"]
+    for joint, position in zip(_joints(values), numbers, strict=True):
+        low, high = sorted(joint.position(reference.scale(raw)) for raw in reference.raw_range)
+        if not low <= position <= high:
+            raise ParameterError(
+                f"parameter home_positions of {joint.name} is {position:g} rad, outside {low:g} .. {high:g} rad, the "
+                "range of the board; write a position within it"
+            )
     return tuple(numbers)
 
 

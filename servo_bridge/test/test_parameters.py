@@ -69,6 +69,11 @@ def test_joints_have_gears_and_limits_in_their_units() -> None:
         ("direction", [0, 1], "parameter direction of axis1 is 0; give 1, or -1"),
         ("offset", [float("nan"), 0.0], "parameter offset is [nan, 0.0]"),
         ("offset", [0.0, 1e7], "parameter offset of axis2 is 1e+07 rad"),
+        (
+            "home_positions",
+            [0.0, 1e9],
+            "parameter home_positions of axis2 is 1e+09 rad, outside -1.5e+06 .. 1.5e+06 rad",
+        ),
         ("joints", ["a"] * 257, "parameter joints has 257 entries, more than 256"),
         ("board_parameters", ["x" * 4097], "parameter board_parameters has a text of 4097 characters, more than 4096"),
         ("recording", "x" * 4097, "parameter recording has a text of 4097 characters, more than 4096"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -133,3 +135,30 @@ def test_invalid_sines_are_refused(arguments: Any, sentence: str) -> None:
 def test_a_lissajous_figure_needs_two_joints() -> None:
     with pytest.raises(TrajectoryError, match="two joints"):
         lissajous(["axis1"], [0.0], [1.0], [1.0], 1.0)
+
+
+HUGE = st.floats(1e-12, 1e308)
+
+
+@pytest.mark.filterwarnings("error")
+@given(HUGE, HUGE, HUGE)
+def test_a_sine_of_any_numbers_is_planned_or_refused(amplitude: float, frequency: float, duration: float) -> None:
+    """Bounds come before the work: no memory for the points of a path that is refused, no overflow."""
+    with contextlib.suppress(TrajectoryError):
+        sine("axis1", 0.0, amplitude, frequency, duration)
+
+
+@pytest.mark.filterwarnings("error")
+@given(HUGE, st.none() | HUGE)
+def test_a_move_of_any_numbers_is_planned_or_refused(goal: float, duration: float | None) -> None:
+    with contextlib.suppress(TrajectoryError):
+        move(["axis1"], [0.0], [goal], duration, [Limits(velocity_max=300.0, acceleration_max=4000.0)])
+
+
+@pytest.mark.parametrize(("frequency", "duration"), [(1e4, 1e5), (4200.0, 1.0), (1.0, 5000.0), (100.0, 41.7)])
+def test_values_that_the_refusal_of_a_sine_names_are_accepted(frequency: float, duration: float) -> None:
+    with pytest.raises(TrajectoryError, match="waypoints, more than 100000") as caught:
+        sine("axis1", 0.0, 1.0, frequency, duration)
+    lower, shorter = map(float, re.findall(r"([\d.e+-]+) (?:Hz, or|s$)", str(caught.value)))
+    sine("axis1", 0.0, 1.0, lower, duration)
+    sine("axis1", 0.0, 1.0, frequency, shorter)

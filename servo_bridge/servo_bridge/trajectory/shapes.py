@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from servo_msgs_py.quantity import VALUE_MAX
 
 from servo_bridge.trajectory.check import Limits, first_violation
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import DEGREE, Path, State
 from servo_bridge.trajectory.spline import path_through
-from servo_bridge.trajectory.waypoints import DURATION_MAX, Array, Waypoints
+from servo_bridge.trajectory.waypoints import DURATION_MAX, WAYPOINTS_MAX, Array, Waypoints, check_duration
 
 _SHORTEST = 2.0e-3
 """Shortest motion [s]: two of the shortest segments of the board."""
@@ -180,11 +181,21 @@ def _waves(
     for frequency in frequencies:
         _check_positive("frequency", frequency, "Hz")
     _check_positive("duration", duration, "s")
+    check_duration(np.array([0.0, duration]))
+    for amplitude in amplitudes:
+        if not abs(amplitude) <= VALUE_MAX:
+            raise TrajectoryError(f"amplitude is {amplitude:g} rad; write a number of at most {VALUE_MAX:g}")
     rise = min(1.0 / min(frequencies), 0.5 * duration) if ramp is None else ramp
     _check_positive("ramp", rise, "s")
     if 2.0 * rise > duration:
         raise TrajectoryError(f"two ramps of {rise:g} s do not fit into {duration:g} s; use a longer duration")
     step = min(1.0 / max(frequencies), rise) / _PER_WAVE
+    if (count := duration / step) > WAYPOINTS_MAX - 3 * _PER_WAVE:  # before they are made
+        waves = 0.99 * WAYPOINTS_MAX / _PER_WAVE
+        raise TrajectoryError(
+            f"{max(frequencies):g} Hz for {duration:g} s are {count:.3g} waypoints, more than {WAYPOINTS_MAX}; "
+            f"use at most {waves / duration:.3g} Hz, or {waves / max(frequencies):.3g} s"
+        )
     spans = [(0.0, rise), (rise, duration - rise), (duration - rise, duration)]
     t = np.unique(np.concatenate([np.linspace(a, b, math.ceil((b - a) / step) + 1) for a, b in spans]))
     e, de, dde = (x[:, None] for x in _envelope(t, rise, duration))

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from servo_msgs_py.quantity import VALUE_MAX
 
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 
@@ -77,8 +78,8 @@ class Waypoints:
         Raises
         ------
         TrajectoryError
-            If a joint occurs twice, a size is wrong, a number is not finite, times do not increase strictly, or a
-            waypoint has an acceleration without a velocity.
+            If a joint occurs twice, a size is wrong, a number is not finite or above `VALUE_MAX`, times do not increase
+            strictly, or a waypoint has an acceleration without a velocity.
         """
         check_joints(joints)
         instants = np.array(times, dtype=np.float64).reshape(-1)
@@ -186,4 +187,10 @@ def _table(joints: Sequence[str], count: int, name: str, table: _Table | None) -
     if infinite.any():
         k, axis = divmod(int(np.argmax(infinite)), len(joints))
         raise TrajectoryError(f"{name} of {joints[axis]} at point #{k} is {values[k, axis]:g}; write a finite number")
+    large = np.abs(values) > VALUE_MAX
+    if large.any():
+        k, axis = divmod(int(np.argmax(large)), len(joints))
+        raise TrajectoryError(
+            f"{name} of {joints[axis]} at point #{k} is {values[k, axis]:g}; write a number of at most {VALUE_MAX:g}"
+        )
     return values
