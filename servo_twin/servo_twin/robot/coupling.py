@@ -376,7 +376,11 @@ class RobotDrives:
         self.align()
 
     def state(self) -> CoupledState:
-        """Complete state of model and boards, at the end of the step under way; see `Board.state`."""
+        """Complete state of model and boards, at the end of the step under way; see `Board.state`.
+
+        At level ``registers`` the boards go on for less than a PWM period, and their next step is shorter: a later bit
+        may differ from that of a run without this call.
+        """
         self.finish()
         signature = mujoco.mjtState.mjSTATE_INTEGRATION
         simulator = np.empty(mujoco.mj_stateSize(self.model, signature))
