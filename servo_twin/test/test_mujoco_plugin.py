@@ -191,6 +191,21 @@ def test_every_copy_of_mujoco_continues_with_the_same_bits(moving: tuple[Any, An
     assert bits(data) == bits(others["copy"])
 
 
+def test_states_can_be_compared_as_numbers(moving: tuple[Any, Any]) -> None:
+    """The bytes of a board include those of NaN, which is not equal to itself."""
+    model, data = moving[0], copy.copy(moving[1])
+    fresh, other = mujoco.MjData(model), copy.copy(data)
+    for one in (fresh, data):
+        state = np.empty(mujoco.mj_stateSize(model, STATE))
+        mujoco.mj_getState(model, one, state, STATE)
+        assert np.isfinite(state).all()
+    run(model, data, 50)
+    run(model, other, 50)
+    assert np.array_equal(data.plugin_state, other.plugin_state)
+    run(model, other, 1)
+    assert not np.array_equal(data.plugin_state, other.plugin_state)
+
+
 def test_pickle_continues_in_another_process(moving: tuple[Any, Any], library: Path, tmp_path: Path) -> None:
     model, data = moving[0], copy.copy(moving[1])
     (tmp_path / "data").write_bytes(pickle.dumps(data))

@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "mujoco/drives.h"
+#include "mujoco/finite_words.h"
 #include "mujoco/model.h"
 
 typedef struct {
@@ -24,8 +25,9 @@ typedef struct instance {
     struct instance *next; /* in its bucket */
     model_t model;
     exported_t *board;
-    uint8_t *last; /* state of that board */
-    size_t size; /* of it [bytes]; 0: not known */
+    mjtNum *last; /* the plugin's state with that board */
+    bool known; /* there is one */
+    uint8_t *bytes; /* for a state as bytes */
     double refused[NAMES_MAX]; /* last refused value of each input, for the warning */
 } instance_t;
 
@@ -80,23 +82,18 @@ static instance_t *removed(const mjData *d, int number)
 
 /* ---- board and state ------------------------------------------------------------------------------------------------ */
 
-/* Numbers of the plugin's state: the head, and a state of a board that has started. */
+/* Room for the head and a state of a board that has started. */
 static int plugin_nstate(const mjModel *m, int instance)
 {
     size_t size = 0;
-    exported_t *board = exported_new();
     (void)m;
     (void)instance;
+    exported_t *board = exported_new();
     if (board != NULL && exported_start(board, 0.0).status == EXPORTED_DONE) {
         (void)exported_save(board, NULL, 0, &size);
     }
     exported_free(board);
-    return (int)((sizeof(head_t) + size + sizeof(mjtNum) - 1) / sizeof(mjtNum));
-}
-
-static size_t room(const mjModel *m, int instance)
-{
-    return (size_t)m->plugin_statenum[instance] * sizeof(mjtNum) - sizeof(head_t);
+    return (int)finite_words(sizeof(head_t) + size);
 }
 
 static mjtNum *state_of(const mjModel *m, mjData *d, int instance)
@@ -104,12 +101,12 @@ static mjtNum *state_of(const mjModel *m, mjData *d, int instance)
     return d->plugin_state + m->plugin_stateadr[instance];
 }
 
-static const uint8_t *image_of(const mjtNum *state) { return (const uint8_t *)state + sizeof(head_t); }
-
 static head_t head_of(const mjtNum *state)
 {
     head_t head;
-    memcpy(&head, state, sizeof head);
+    uint8_t bytes[sizeof head + WORD];
+    finite_decode(state, bytes, finite_words(sizeof head));
+    memcpy(&head, bytes, sizeof head);
     return head;
 }
 
@@ -118,22 +115,25 @@ static exported_t *restored(const mjModel *m, mjData *d, int instance)
 {
     instance_t *own = instance_of(d, instance);
     const mjtNum *state = state_of(m, d, instance);
+    const size_t words = (size_t)m->plugin_statenum[instance];
+    const size_t room = WORD_BYTES * words - sizeof(head_t);
     const head_t head = head_of(state);
     if (head.size == 0) {
         if (exported_board(own->board) != NULL) {
             const char *where;
             (void)model_configure(m, instance, own->board, &where); /* accepted at the begin */
         }
-        own->size = 0;
-    } else if (own->size != head.size || memcmp(own->last, image_of(state), own->size) != 0) {
-        const exported_result_t result = (head.size <= room(m, instance))
-                                             ? exported_restore(own->board, image_of(state), head.size)
+        own->known = false;
+    } else if (!own->known || memcmp(own->last, state, WORD * words) != 0) {
+        finite_decode(state, own->bytes, words);
+        const exported_result_t result = (head.size <= room)
+                                             ? exported_restore(own->board, own->bytes + sizeof head, head.size)
                                              : (exported_result_t){EXPORTED_FAILED, "is too large", "state"};
-        if (result.status != EXPORTED_DONE) {
+        own->known = result.status == EXPORTED_DONE;
+        if (!own->known) {
             mju_error(PLUGIN_NAME ": plugin state: %s", result.what);
         }
-        memcpy(own->last, image_of(state), head.size);
-        own->size = head.size;
+        memcpy(own->last, state, WORD * words);
     }
     return own->board;
 }
@@ -141,15 +141,20 @@ static exported_t *restored(const mjModel *m, mjData *d, int instance)
 static void save(const mjModel *m, mjData *d, int instance, head_t head)
 {
     instance_t *own = instance_of(d, instance);
-    const exported_result_t result = exported_save(own->board, own->last, room(m, instance), &own->size);
-    if (result.status != EXPORTED_DONE || own->size > room(m, instance)) {
+    size_t size = 0;
+    const size_t words = (size_t)m->plugin_statenum[instance];
+    const size_t room = WORD_BYTES * words - sizeof head;
+    const exported_result_t result = exported_save(own->board, own->bytes + sizeof head, room, &size);
+    if (result.status != EXPORTED_DONE || size > room) {
         mju_error(PLUGIN_NAME ": %s",
                   (result.status != EXPORTED_DONE) ? result.what : "the state of the board has grown");
     }
-    head.size = own->size;
-    mjtNum *state = state_of(m, d, instance);
-    memcpy(state, &head, sizeof head);
-    memcpy((uint8_t *)state + sizeof head, own->last, own->size);
+    head.size = size;
+    memcpy(own->bytes, &head, sizeof head);
+    memset(own->bytes + sizeof head + size, 0, room - size);
+    finite_encode(own->last, own->bytes, words);
+    own->known = true;
+    memcpy(state_of(m, d, instance), own->last, WORD * words);
 }
 
 /* ---- life of an instance -------------------------------------------------------------------------------------------- */
@@ -159,6 +164,7 @@ static void free_instance(instance_t *own)
     if (own != NULL) {
         exported_free(own->board);
         free(own->last);
+        free(own->bytes);
         free(own);
     }
 }
@@ -170,9 +176,12 @@ static int plugin_init(const mjModel *m, mjData *d, int instance)
     const char *where = "";
     if (own != NULL) {
         own->board = exported_new();
-        own->last = (uint8_t *)malloc(room(m, instance));
-        problem = (own->board != NULL && own->last != NULL) ? model_take(m, instance, &own->model, own->board, &where)
-                                                            : problem;
+        const size_t words = (size_t)m->plugin_statenum[instance];
+        own->last = (mjtNum *)malloc(WORD * words);
+        own->bytes = (uint8_t *)calloc(1, finite_buffer(words));
+        problem = (own->board != NULL && own->last != NULL && own->bytes != NULL)
+                      ? model_take(m, instance, &own->model, own->board, &where)
+                      : problem;
     }
     if (problem != NULL) {
         char text[TEXT_MAX]; /* where may point into the instance */
@@ -196,8 +205,10 @@ static void plugin_reset(const mjModel *m, mjtNum *state, void *data, int instan
     for (int axis = 0; axis < AXES; axis++) {
         head.axis[axis].zero = NAN;
     }
+    uint8_t bytes[sizeof head + WORD] = {0};
+    memcpy(bytes, &head, sizeof head);
     memset(state, 0, (size_t)m->plugin_statenum[instance] * sizeof *state);
-    memcpy(state, &head, sizeof head);
+    finite_encode(state, bytes, finite_words(sizeof head));
 }
 
 /* ---- simulation ----------------------------------------------------------------------------------------------------- */
@@ -268,7 +279,7 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
     }
     board_advance(board, board_time_ns(board) + step_ns);
     if (board_error(board) != NULL) {
-        own->size = 0; /* the same state is restored again */
+        own->known = false; /* the same state is restored again */
         mju_error(PLUGIN_NAME ": instance %d: %s", instance, board_error(board));
     }
     for (int axis = 0; axis < AXES; axis++) {
