@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
+from servo_measurement.autotune import Autotuned
 from servo_measurement.autotune import autotune as tune
 from servo_measurement.autotune_command import ABOUT, add_options, configuration, finish, request_of
 from servo_msgs_py.catalogue import AXIS_NAMES
@@ -37,5 +39,8 @@ def autotune(context: Context) -> int:
     """Tune the axis; returns 1 if nothing was tuned or confirmed."""
     args = context.args
     request = request_of(args, AXIS_NAMES.index(args.axis))
-    work = partial(tune, request=request, base=args.base)
-    return finish("servo-tool", args, partial(measured, context.session, work))
+
+    def work(keep: Callable[[Autotuned], None]) -> Autotuned:
+        return measured(context.session, partial(tune, request=request, base=args.base, keep=keep))
+
+    return finish("servo-tool", args, work)

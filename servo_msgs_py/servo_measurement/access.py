@@ -23,6 +23,9 @@ RECORDER_BYTES: Final = 7680
 FAULT: Final = "fault"
 """What the refusals because of a fault are about."""
 
+OSCILLATION: Final = "oscillation"
+"""What the refusals because of an oscillation are about."""
+
 TRIGGER_TIMEOUT: Final = 2.0
 """Timeout from the start of a recording to its trigger [s]."""
 

@@ -22,19 +22,20 @@ from servo_msgs_py.catalogue import axis_name
 from servo_tuning.errors import Problem, Table, exactly, lower
 from servo_tuning.findings import GAIN_MIN
 from servo_tuning.linear import Margins
+from servo_tuning.remedies import with_value
 from servo_tuning.robust import PHASE_MIN, ShaftModel, robust, stable
 from servo_tuning.tuned import Tuned, tuned_axis
 
-from servo_measurement.access import BoardAccess, MeasurementError
+from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.bode import Bode
 from servo_measurement.bode import measure as measure_open_loop
 from servo_measurement.bode_plan import BodeRequest, free_travel
-from servo_measurement.dead_time import rounded_up
-from servo_measurement.prediction import Candidate
+from servo_measurement.dead_time import rounded_down, rounded_up
+from servo_measurement.prediction import Candidate, is_observed
 from servo_measurement.recorded_move import TOLERANCE, Move, move_and_back
-from servo_measurement.resonance import GROUPS, Resonance, ResonanceRequest, Shaft, check, fitted
+from servo_measurement.resonance import GROUPS, Resonance, ResonanceRequest, Shaft, fitted
 from servo_measurement.resonance import measure as measure_resonance
-from servo_measurement.running_axis import RunningAxis
+from servo_measurement.running_axis import RunningAxis, with_observer
 
 DISTANCE: Final = 2.0 * math.pi
 """Of the move, unless the range is smaller [rad]."""
@@ -45,8 +46,10 @@ _BELOW: Final = 2.5  # predicted crossover over the lowest measured frequency
 _PHASE_ERROR: Final = 3.0  # of a measured margin [degrees]
 _GAIN_ERROR: Final = 0.1  # of a measured margin, relative
 _OVERSHOOT: Final = 0.1  # largest one of the move, relative
-_UNEXPLAINED: Final = 5.0  # largest difference of the measured loop from its model, over its standard deviation
-_ROOM: Final = 1.2  # of a tolerance that is named: the next move differs
+_ERROR_MAX: Final = 5.0  # root mean square of the difference of measured loop and model, over its standard deviation
+_TOLERANCE_MAX: Final = 0.05  # of the move
+_OBSERVED: Final = "features.speed_observer"  # entry of servo.toml
+_ROOM: Final = 1.5  # of a tolerance that is named: the next move differs
 _INSTANT: Final = 1e-6  # of a wait that only sends what is due [s]
 
 TOLERANCE_OPTION: Final = "--tolerance"
@@ -92,7 +95,7 @@ class Autotuned:
         A crossover on the flank of a resonance is a matter of few points, so they are those of the model that fits all
         points best.
         """
-        return self.confirmed.model.within(self.after.shaft(observed=False)).speed_margins(self.bode.prediction.delay)
+        return self.confirmed.model.within(self.after.shaft()).speed_margins(self.bode.prediction.delay)
 
     @cached_property
     def problems(self) -> tuple[Problem, ...]:
@@ -101,22 +104,27 @@ class Autotuned:
 
     def _margin_problems(self) -> Iterator[Problem]:
         error = math.sqrt(self.confirmed.squares / (2.0 * max(int(self.bode.response.good.sum()), 1)))
-        if error > _UNEXPLAINED:
+        if error > _ERROR_MAX:
             yield Problem(f"the measured speed loop is not that of motor and load: the error is {error:.2g} sigma")
         margins, phase_min = self.measured, self.request.phase_min
+        if not stable(self.confirmed.model, self.after):
+            yield Problem("with the shaft that fits the measured loop, speed or position loop are unstable")
         if margins.phase is not None and abs(margins.phase) < phase_min - _PHASE_ERROR:
             yield Problem(f"the measured phase margin is {abs(margins.phase):.1f} degrees instead of {phase_min:g}")
         if margins.gain is not None and margins.gain < GAIN_MIN * (1.0 - _GAIN_ERROR):
             yield Problem(f"the measured gain margin is {margins.gain:.2f} instead of {GAIN_MIN:g}")
 
     def _move_problems(self) -> Iterator[Problem]:
-        tolerance = self.request.tolerance
+        tolerance, name = self.request.tolerance, axis_name(self.request.axis)
         if not all(move.figures.arrived for move in self.moves):
             error = max((move.figures.error for move in self.moves), key=abs)
             needed = rounded_up(_ROOM * max(np.abs(move.rest).max() for move in self.moves))
             fact = f"a move ends {error:+.3g} rad from its target, more than {tolerance:g} rad"
             reason = "with these bandwidths friction holds the shaft for long"
-            yield Problem(f"{fact}: {reason}", remedies=(exactly(TOLERANCE_OPTION, needed),))
+            if needed > _TOLERANCE_MAX * self.moves[0].distance:
+                yield Problem(fact, advice=f"check {name}.limits, and the load")
+            else:
+                yield Problem(f"{fact}: {reason}", remedies=(exactly(TOLERANCE_OPTION, needed),))
         overshoot = max(move.figures.overshoot for move in self.moves)
         if overshoot > max(_OVERSHOOT * self.moves[0].distance, tolerance):
             yield Problem(f"a move overshoots by {overshoot:.3g} rad", remedies=(lower("limits.acceleration"),))
@@ -129,6 +137,7 @@ def autotune(
     *,
     report: Callable[[str], None] = lambda _: None,
     progress: Progress = lambda *_: None,
+    keep: Callable[[Autotuned], None] = lambda _: None,
 ) -> Autotuned:
     """Choose, try, confirm and take bandwidths.
 
@@ -144,6 +153,8 @@ def autotune(
         Called with a sentence about each motion before it begins.
     progress : callable
         Called with the current step, the number of completed recordings and their total number.
+    keep : callable
+        Called with the result, before the board takes a confirmed configuration: to write its file.
 
     Raises
     ------
@@ -153,9 +164,13 @@ def autotune(
         If a measurement is not possible; the board has its configuration from before.
     """
     axis, name = request.axis, axis_name(request.axis)
-    before = tuned_axis(base, axis)
-    _refuse(access, axis, before)
-    travel = min(request.travel_max, free_travel(access, axis))
+    _refuse(access, axis, tuned_axis(base, axis))
+    before = tuned_axis(with_value(base, f"{name}.{_OBSERVED}", is_observed(access, axis)), axis)
+    rig, travel = RunningAxis(access, axis, report), min(request.travel_max, free_travel(access, axis))
+    distance = min(DISTANCE, _RANGE_USE * travel)
+    if request.tolerance > _TOLERANCE_MAX * distance:
+        fact = f"a tolerance of {request.tolerance:g} rad is too large for a move by {distance:.3g} rad"
+        raise MeasurementError(fact, exactly(TOLERANCE_OPTION, rounded_down(_TOLERANCE_MAX * distance)))
     resonance = measure_resonance(
         access,
         ResonanceRequest(axis, request.speed, request.travel_max),
@@ -166,7 +181,6 @@ def autotune(
     shaft, possible = resonance.shaft.model, resonance.shaft.possible
     table = robust(base, axis, shaft, possible, request.phase_min, lambda: access.wait(_INSTANT))
     after = tuned_axis(table, axis)
-    rig, distance = RunningAxis(access, axis, report), min(DISTANCE, _RANGE_USE * travel)
     moves_before: list[Move] = []
     if all(stable(one, before) for one in possible):
         report(f"{name} moves by {distance:.3g} rad and back, with its present configuration")
@@ -175,31 +189,36 @@ def autotune(
         access, _bode_request(request, shaft, after), enable=True, report=report, progress=progress
     )
     report(f"{name} moves by {distance:.3g} rad and back, with the chosen configuration")
-    moves = move_and_back(rig, distance, after.axis("control.position_gain"), request.tolerance, after.block)
-    assert bode.half is not None
-    confirmed = fitted(bode.prediction, bode.response, bode.half)
+    moves = move_and_back(
+        rig, distance, after.axis("control.position_gain"), request.tolerance, after.block, after.observed
+    )
+    confirmed = fitted(bode.prediction, bode.response)
     found = Autotuned(request, resonance, before, after, table, bode, confirmed, tuple(moves_before), tuple(moves))
+    keep(found)
     if not found.problems:
+        features = with_observer(access, access.read_words("param.features")[axis], after.observed)
         send_configuration(access, {axis: after.block})
+        if not access.write_words("param.features", [features], axis):  # the block brings its own
+            raise MeasurementError(f"the board refuses param.features = {features} of {name} after its configuration")
     return found
 
 
 def _refuse(access: BoardAccess, axis: int, before: Tuned) -> None:
     """Raise an error if the board is not in the state that the file and the measurements need."""
     name = axis_name(axis)
-    check(access, axis)
     if read_block(access, axis) != before.block:
         raise MeasurementError(
             f"{name} of the board has another configuration than the file: send it first (servo-tool tune), or use the "
             "file of the board"
         )
-    if place(access, axis) not in ("STOP", "FAULT"):
+    refuse_faults(access, axis)
+    if place(access, axis) != "STOP":
         raise MeasurementError(f"{name} is enabled: disable it first, the configuration is changed at rest")
 
 
 def _bode_request(request: AutotuneRequest, shaft: ShaftModel, after: Tuned) -> BodeRequest:
     """Measurement of the speed loop with the chosen configuration, from below its crossover to above the resonance."""
-    crossover = shaft.within(after.shaft(observed=False)).speed_margins().crossover
+    crossover = shaft.within(after.shaft()).speed_margins().crossover
     lowest = None if crossover is None else min(crossover, after.axis("control.speed_bandwidth")) / _BELOW
     highest = None
     if shaft.load is not None and crossover is not None:
@@ -212,7 +231,6 @@ def _bode_request(request: AutotuneRequest, shaft: ShaftModel, after: Tuned) -> 
         speed=request.speed,
         travel_max=request.travel_max,
         groups=GROUPS,
-        half=True,
-        repeats=2,
+        observed=after.observed,
         candidate=Candidate(after.block, shaft),
     )

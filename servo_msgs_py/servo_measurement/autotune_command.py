@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from servo_msgs_py.figure import check_picture
 from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.runtime.program import complain
 from servo_tuning.board_file import blocks_of
@@ -19,7 +20,7 @@ from servo_tuning.robust import PHASE_MIN, PHASE_OPTION, PHASES_MIN
 
 from servo_measurement.access import MeasurementError
 from servo_measurement.autotune import TOLERANCE_OPTION, Autotuned, AutotuneRequest
-from servo_measurement.autotune_report import CONFIG, as_dict, text, write_files
+from servo_measurement.autotune_report import CONFIG, PICTURE, as_dict, draw, text, write_configuration
 from servo_measurement.recorded_move import TOLERANCE
 from servo_msgs_py import argument
 
@@ -82,7 +83,10 @@ def configuration(args: argparse.Namespace) -> Table:
     ------
     ValueError
         If it cannot be used; the text has the file.
+    PictureError
+        If no picture can be drawn.
     """
+    check_picture(args.out / PICTURE)
     path = args.config or SERVO_TOML
     if not path.is_file():
         raise ValueError(f"no such file: {path}; write --config with the servo.toml of this board")
@@ -97,17 +101,20 @@ def configuration(args: argparse.Namespace) -> Table:
     return table
 
 
-def finish(program: str, args: argparse.Namespace, tune: Callable[[], Autotuned]) -> int:
-    """Tune, write the files and print the result; returns 1 if nothing was tuned or confirmed."""
+def finish(program: str, args: argparse.Namespace, tune: Callable[[Callable[[Autotuned], None]], Autotuned]) -> int:
+    """Tune, write the files and print the result; returns 1 if nothing was tuned or confirmed.
+
+    `tune` is `autotune` with its argument `keep`: the file is complete before the board has its configuration.
+    """
     try:
-        found = tune()
+        found = tune(lambda result: write_configuration(result, args.out))
     except ConfigError as error:
         complain(f"{program}: {explained(error)}")
         return 1
     except (MeasurementError, ValueError) as error:  # a number or a block was refused
         complain(f"{program}: {error}")
         return 1
-    write_files(found, args.out)
+    draw(found, args.out / PICTURE)
     print(json.dumps(as_dict(found), allow_nan=False) if args.json else text(found))
     for problem in found.problems:
         complain(f"{program}: not confirmed, the board has its configuration from before: {problem}")

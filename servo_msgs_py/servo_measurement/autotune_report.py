@@ -22,7 +22,7 @@ from servo_measurement.bode_report import frequency_axis
 from servo_measurement.recorded_move import Move
 
 CONFIG, PICTURE = "servo.toml", "autotune.png"
-"""Files of `write_files`."""
+"""Files of a result."""
 
 _ENTRIES: Final = (
     ("control.speed_bandwidth", "Hz"),
@@ -39,6 +39,7 @@ def text(found: Autotuned) -> str:
     rows = [["", "before", "after"]]
     for entry, unit in _ENTRIES:
         rows.append([entry, *(f"{design.axis(entry):.4g} {unit}".rstrip() for design in (found.before, found.after))])
+    rows.append(["speed estimate", *map(_estimate, (found.before, found.after))])
     for loop in ("speed", "position"):
         rows.append([f"{loop} loop, predicted", *(_predicted(found, one, loop) for one in (found.before, found.after))])
     rows.append(["speed loop, measured", "", _margins(found.measured)])
@@ -47,10 +48,14 @@ def text(found: Autotuned) -> str:
     return "\n".join([found.resonance.text(), *(f"  {line}" for line in aligned(rows))])
 
 
+def _estimate(design: Tuned) -> str:
+    return f"observer, {design.axis('control.observer_bandwidth'):.4g} Hz" if design.observed else "M/T method"
+
+
 def _predicted(found: Autotuned, design: Tuned, loop: str) -> str:
     if not stable(found.shaft, design):
         return "unstable"
-    loops = found.shaft.within(design.shaft(observed=False))
+    loops = found.shaft.within(design.shaft())
     return _margins(loops.speed_margins() if loop == "speed" else loops.position_margins())
 
 
@@ -74,8 +79,8 @@ def as_dict(found: Autotuned) -> dict[str, Any]:
     return {
         "axis": axis_name(found.request.axis),
         "shaft": found.resonance.as_dict(),
-        "before": {entry: found.before.axis(entry) for entry, _ in _ENTRIES},
-        "after": {entry: found.after.axis(entry) for entry, _ in _ENTRIES},
+        "before": _entries(found.before),
+        "after": _entries(found.after),
         "measured": {"crossover": measured.crossover, "phase margin": measured.phase, "gain margin": measured.gain},
         "settling before": [move.settling for move in found.moves_before],
         "settling": [move.settling for move in found.moves],
@@ -83,10 +88,14 @@ def as_dict(found: Autotuned) -> dict[str, Any]:
     }
 
 
-def write_files(found: Autotuned, folder: Path) -> None:
-    """Write the picture, and the configuration if it is confirmed: an earlier one is removed if it is not."""
+def _entries(design: Tuned) -> dict[str, float | bool]:
+    entries = [entry for entry, _ in _ENTRIES] + ["control.observer_bandwidth"]
+    return {entry: design.axis(entry) for entry in entries} | {"features.speed_observer": design.observed}
+
+
+def write_configuration(found: Autotuned, folder: Path) -> None:
+    """Write the configuration if it is confirmed: an earlier one is removed if it is not."""
     folder.mkdir(parents=True, exist_ok=True)
-    draw(found, folder / PICTURE)
     if found.problems:
         (folder / CONFIG).unlink(missing_ok=True)
         return
@@ -103,7 +112,7 @@ def draw(found: Autotuned, path: Path) -> None:
     f = np.geomspace(response.frequency[0], response.frequency[-1], _POINTS)
     names = ("before", "after")
     for when, design, colour in zip(names, (found.before, found.after), _COLOURS, strict=True):
-        loops = found.shaft.within(design.shaft(observed=False))
+        loops = found.shaft.within(design.shaft())
         curve = loops.speed_open(2.0 * np.pi * f, found.bode.prediction.delay)
         label = f"{when}, predicted with the load" + ("" if stable(found.shaft, design) else ": unstable")
         gain.semilogx(f, 20.0 * np.log10(np.abs(curve)), color=colour, lw=1.0, label=label)

@@ -20,6 +20,7 @@ from servo_msgs_py.trace import Trace
 from servo_msgs_py.value_text import value_text
 
 from servo_measurement.access import (
+    OSCILLATION,
     BoardAccess,
     Capture,
     MeasurementError,
@@ -249,7 +250,7 @@ class AxisUnderTest:
         swing = min(max(speeds), -min(speeds))
         if speed == HELD_SPEED and swing > _SWING * speed:  # else nothing controls it
             text = f"{self.name} oscillates under control, by {swing:.2g} rad/s"
-            raise MeasurementError(text, "couple an inertia", about="oscillation")
+            raise MeasurementError(text, "couple an inertia", about=OSCILLATION)
         raise MeasurementError(
             f"{self.name} does not come to rest within {_REST_MAX:g} s: an external torque moves the shaft"
         )

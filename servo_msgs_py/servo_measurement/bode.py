@@ -96,7 +96,7 @@ def measure(
     total = sweeps + (sweeps if request.half else _CHECKS)
     rig = BodeRig(access, settings, report)
     block = None if settings.gain == 1.0 and request.candidate is None else prediction.block
-    with rig.prepared(enable, test_mode=not settings.loop.slow, block=block):
+    with rig.prepared(enable, test_mode=not settings.loop.slow, block=block, observed=request.observed):
         initial = rig.value("position")
 
         def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:

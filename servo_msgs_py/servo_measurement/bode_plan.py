@@ -91,6 +91,7 @@ class BodeRequest:
     """Bandwidths of speed and position control during the measurement, over those of the board, above 0 to 1."""
     groups: int = GROUPS  # of frequencies, per decade
     half: bool = False  # sweep every band as often with half the amplitude
+    observed: bool | None = None  # whether the speed observer is on meanwhile; None: as on the board
     candidate: Candidate | None = None  # in use during the measurement; None: what the board has
 
 
@@ -195,7 +196,9 @@ def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settin
     axis, loop = request.axis, LOOPS[request.loop]
     if request.gain != 1.0 and not loop.slow:
         raise MeasurementError("a current loop is measured with its own gains; omit the part of the gains")
-    prediction = predict(access, axis, loop.name, request.speed or 0.0, request.gain, request.candidate)
+    prediction = predict(
+        access, axis, loop.name, request.speed or 0.0, request.gain, request.candidate, request.observed
+    )
     crossover = prediction.margins.crossover or 0.1 * prediction.nyquist
     f_min = crossover / _BELOW if request.f_min is None else request.f_min
     f_max = crossover * _ABOVE if request.f_max is None else request.f_max
@@ -203,6 +206,8 @@ def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settin
     travel_max = min(request.travel_max, free_travel(access, axis))
     speed = 0.0 if request.speed is None else request.speed
     deceleration = access.read("param.acceleration_limit")[axis]
+    if request.candidate is not None:
+        deceleration = min(deceleration, prediction.value("acceleration_limit"))
     settings = Settings(
         axis,
         loop,

@@ -10,7 +10,7 @@ from servo_msgs_py.timed_points import POINTS_MEASURING, TimedPoint, encode_poin
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_measurement.access import BoardAccess, Capture, MeasurementError
+from servo_measurement.access import OSCILLATION, BoardAccess, Capture, MeasurementError
 from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME
 from servo_measurement.bode_plan import BASE_PART, GAIN_MIN, Band, Settings
 from servo_measurement.running_axis import RunningAxis
@@ -106,7 +106,8 @@ class BodeRig(RunningAxis):
         remedies.append("if cogging forces it, remove OSCILLATION from param.faults_enabled for the measurement")
         raise MeasurementError(
             f"{self.name} oscillates at {self.value('oscillation'):.0f} Hz, and the board reduces its gains: "
-            f"{', or '.join(remedies)}"
+            f"{', or '.join(remedies)}",
+            about=OSCILLATION,
         )
 
     def _wait_for_standstill(self) -> None:

@@ -25,6 +25,9 @@ from servo_measurement.access import BoardAccess
 _CURRENT_AXES: Final[Mapping[str, str]] = {"current": "q", "current_d": "d"}
 _GRID: Final = 200
 
+OBSERVER: Final = "SPEED_OBSERVER"
+"""Feature of an axis whose speed is that of the observer."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -124,6 +127,12 @@ class Prediction:
         return 0.0, float(np.abs(sensitivity).max())
 
 
+def is_observed(access: BoardAccess, axis: int) -> bool:
+    """Whether the speed of an axis of a board is that of the observer."""
+    word = int(access.read("param.features")[axis])
+    return any(flag.name == OBSERVER for flag in access.catalogue.active("features", word))
+
+
 def predict(
     access: BoardAccess,
     axis: int,
@@ -131,8 +140,9 @@ def predict(
     speed: float,
     gain: float = 1.0,
     candidate: Candidate | None = None,
+    observed: bool | None = None,
 ) -> Prediction:
-    """Model of a loop of a board with its features.
+    """Model of a loop of a board.
 
     Parameters
     ----------
@@ -148,9 +158,11 @@ def predict(
         Part of the bandwidths of speed and position control in use.
     candidate : Candidate, optional
         Configuration and shaft; None: the configuration of the board, and a rigid shaft.
+    observed : bool, optional
+        Whether the speed observer is on; None: as on the board.
     """
-    word = int(access.read("param.features")[axis])
-    observed = any(flag.name == "SPEED_OBSERVER" for flag in access.catalogue.active("features", word))
+    if observed is None:
+        observed = is_observed(access, axis)
     block = read_block(access, axis) if candidate is None else candidate.block
     model = None if candidate is None else candidate.shaft
     return Prediction(block if gain == 1.0 else softened(block, gain), loop, speed, observed, model)

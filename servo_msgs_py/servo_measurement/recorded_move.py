@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import TICK
 
-from servo_measurement.access import Capture, MeasurementError
+from servo_measurement.access import OSCILLATION, Capture, MeasurementError
 from servo_measurement.running_axis import RunningAxis
 from servo_measurement.step_response import StepFigures, measure_step
 
@@ -79,6 +79,7 @@ def move_and_back(
     position_gain: float,
     tolerance: float = TOLERANCE,
     block: Mapping[str, int] | None = None,
+    observed: bool | None = None,
 ) -> list[Move]:
     """Enable an axis, move it by a distance [rad] and back, and disable it.
 
@@ -94,6 +95,8 @@ def move_and_back(
         Largest distance to the target of a shaft that has arrived [rad].
     block : mapping, optional
         Configuration during the move; None: that of the board.
+    observed : bool, optional
+        Whether the speed is that of the observer; None: as on the board.
 
     Returns
     -------
@@ -105,7 +108,7 @@ def move_and_back(
     MeasurementError
         If the move is not possible, or the board finds an oscillation.
     """
-    with rig.prepared(True, block=block):
+    with rig.prepared(True, block=block, observed=observed):
         start, after, moves = rig.value("position"), max(_SETTLING / position_gain, _AFTER), []
         seconds = _FIRST + after
         for target in (start + distance, start):
@@ -123,6 +126,7 @@ def _recorded(rig: RunningAxis, target: float, tolerance: float, seconds: float,
         if changes.size and trace.time[-1] - trace.time[changes[-1] + 1] >= after:
             break
         if not changes.size:
+            rig.refuse_limits()
             raise MeasurementError(f"{rig.name} does not follow its set-point: another program commands it")
         if seconds >= _LONGEST:
             raise MeasurementError(
@@ -142,9 +146,10 @@ def _trace(rig: RunningAxis, target: float, seconds: float) -> Trace:
     capacity = rig.access.capacity([f"{rig.name}.{column}" for column in COLUMNS])
     every = math.ceil(seconds / TICK / capacity)
 
-    def meanwhile(full: bool) -> None:
-        if not full and rig.is_limited("OSCILLATION"):
-            raise MeasurementError(f"{rig.name} oscillates at {rig.value('oscillation'):.0f} Hz during the move")
+    def refuse_oscillation() -> None:
+        if rig.is_limited("OSCILLATION"):
+            text = f"{rig.name} oscillates at {rig.value('oscillation'):.0f} Hz during the move"
+            raise MeasurementError(text, about=OSCILLATION)
 
     capture = Capture(
         COLUMNS,
@@ -152,7 +157,8 @@ def _trace(rig: RunningAxis, target: float, seconds: float) -> Trace:
         every,
         slow=True,
         start=lambda: rig.command("cmd.position", target),
-        meanwhile=meanwhile,
+        meanwhile=lambda _: refuse_oscillation(),
     )
     recorded = rig.record(capture)
+    refuse_oscillation()  # the limit stays active while the axis is enabled
     return Trace(recorded.step, {column: recorded[f"{rig.name}.{column}"] for column in COLUMNS})

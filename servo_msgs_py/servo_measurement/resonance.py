@@ -117,7 +117,7 @@ class Shaft:
 
     @property
     def possible(self) -> list[ShaftModel]:
-        """Shafts at the ends of the intervals, and with a resonance that has changed by `CHANGE`.
+        """Shafts at the ends of each interval by itself, and with a resonance that has changed by `CHANGE`.
 
         The damping is the lowest possible one: the fit finds more than there is.
         """
@@ -230,13 +230,13 @@ def measure(
 ) -> Resonance:
     """Measure motor and load of an axis; arguments as of `bode.measure`.
 
+    The speed is that of the M/T method meanwhile: the observer does not know the load.
+
     Raises
     ------
     MeasurementError
         If the measurement is not possible.
     """
-    name = axis_name(request.axis)
-    check(access, request.axis)
     bode = measure_open_loop(
         access,
         BodeRequest(
@@ -249,44 +249,32 @@ def measure(
             gain=_gain(access, request),
             groups=GROUPS,
             half=True,
+            observed=False,
         ),
         enable=enable,
         report=report,
         progress=progress,
     )
     assert bode.half is not None
-    if any(int(part.good.sum()) < _POINTS_MIN for part in (bode.response, bode.half)):
-        raise MeasurementError(f"too few frequencies of {name} have a sufficient coherence: {_LARGER}")
     shaft = fitted(bode.prediction, bode.response, bode.half)
-    if not np.isfinite(shaft.at_half).all():
-        raise MeasurementError(f"the shaft of {name} differs at half the amplitude of the test signal: {_LARGER}")
     frequency = bode.response.frequency[bode.response.good]
     return Resonance(
         request.axis, (float(frequency[0]), float(frequency[-1])), shaft, bode.prediction.loops.motor.inertia
     )
 
 
-def check(access: BoardAccess, axis: int) -> None:
-    """Raise an error if the speed of an axis is that of the observer."""
-    if predict(access, axis, "speed", 0.0).observed:
-        raise MeasurementError(
-            f"the speed of {axis_name(axis)} is that of the observer, which does not know the load: switch off the "
-            "feature SPEED_OBSERVER (param.features) for the measurement"
-        )
-
-
 def _gain(access: BoardAccess, request: ResonanceRequest) -> float:
     """Part of the bandwidths during the measurement."""
     if request.gain is not None:
         return request.gain
-    bandwidth = predict(access, request.axis, "speed", 0.0).loops.speed_bandwidth
+    bandwidth = predict(access, request.axis, "speed", 0.0, observed=False).loops.speed_bandwidth
     return min(max(BANDWIDTH / bandwidth, GAIN_MIN), 1.0)
 
 
 # ---- fit ------------------------------------------------------------------------------------------------------------
 
 
-def fitted(prediction: Prediction, response: Response, half: Response) -> Shaft:
+def fitted(prediction: Prediction, response: Response, half: Response | None = None) -> Shaft:
     """Shaft whose open speed loop fits a measured one best: rigid, unless a load behind a spring is significant.
 
     Parameters
@@ -295,19 +283,28 @@ def fitted(prediction: Prediction, response: Response, half: Response) -> Shaft:
         Model of the loop with the configuration of the axis.
     response : Response
         The measured open loop.
-    half : Response
+    half : Response, optional
         With half the amplitude: the change is an estimate of the remaining error.
+
+    Raises
+    ------
+    MeasurementError
+        If too few points are valid, or the shaft differs at half the amplitude.
     """
+    if any(int(part.good.sum()) < _POINTS_MIN for part in (response, half) if part is not None):
+        raise MeasurementError(f"too few frequencies have a sufficient coherence: {_LARGER}")
     residual = _residual(prediction, response)
     nominal = math.log(prediction.loops.motor.inertia)
     rigid = _fit(residual, np.array([nominal]))
     fits = [_fit(residual, start) for start in _starts(residual, nominal, response.frequency[response.good])]
     sprung = min((fit for fit in fits if math.isfinite(fit.squares)), key=lambda fit: fit.squares, default=rigid)
     shaft = sprung if _is_significant(rigid, sprung) else rigid
+    if half is None:
+        return shaft
     again = _fit(_residual(prediction, half), shaft.parameters)
-    return replace(
-        shaft, at_half=again.parameters if math.isfinite(again.squares) else np.full_like(again.parameters, math.nan)
-    )
+    if not math.isfinite(again.squares):
+        raise MeasurementError(f"the shaft differs at half the amplitude of the test signal: {_LARGER}")
+    return replace(shaft, at_half=again.parameters)
 
 
 def _residual(prediction: Prediction, response: Response) -> Callable[[Floats], Floats]:

@@ -9,8 +9,9 @@ from typing import Final
 
 from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 
-from servo_measurement.access import MeasurementError, refuse_faults
+from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import HELD_SPEED, POLL_TIME, AxisUnderTest
+from servo_measurement.prediction import OBSERVER
 from servo_measurement.test_signal import end_test_signal
 
 SETTLE: Final = 0.3  # settling time at the constant speed [s]
@@ -28,12 +29,18 @@ class RunningAxis(AxisUnderTest):
 
     @contextmanager
     def prepared(
-        self, enable: bool, *, test_mode: bool = False, block: Mapping[str, int] | None = None
+        self,
+        enable: bool,
+        *,
+        test_mode: bool = False,
+        block: Mapping[str, int] | None = None,
+        observed: bool | None = None,
     ) -> Iterator[None]:
         """The axis in SPIN and at rest, or in mode TEST; afterwards at rest, in its previous mode and state.
 
         An axis in mode TORQUE holds its position after its set-point has expired. It remains in mode POSITION: mode
-        TORQUE would restart without current, and a load would fall. `block`: configuration for this time.
+        TORQUE would restart without current, and a load would fall. `block`: configuration for this time; `observed`:
+        whether its speed is that of the observer, None: as before.
         """
         refuse_faults(self.access, self.axis)
         mode, was_spinning = self.label("mode"), self.is_spinning
@@ -71,8 +78,10 @@ class RunningAxis(AxisUnderTest):
 
         steps = (("shaft at rest", rest), ("gains", configuration_before), ("mode", mode_before))
         with self.session(steps):
+            features = self.access.read_words("param.features")[self.axis]
             if block is not None:
                 send_configuration(self.access, {self.axis: block})
+            self.write_word("param.features", with_observer(self.access, features, observed))  # a block brings its own
             if not was_spinning:
                 self.mode("TEST" if test_mode else "POSITION")
                 self.enable("TEST" if test_mode else "SPIN", _TEST_TIME if test_mode else _SEARCH_TIME)
@@ -83,3 +92,9 @@ class RunningAxis(AxisUnderTest):
         for _ in range(math.ceil(SETTLE / _SETTLE_POLL_TIME)):
             self.wait(_SETTLE_POLL_TIME)
             self.refuse_limits()
+
+
+def with_observer(access: BoardAccess, features: int, observed: bool | None) -> int:
+    """Word of features with the speed observer on or off; None: as it is."""
+    mask = access.catalogue.flag("features", OBSERVER).mask
+    return features if observed is None else features | mask if observed else features & ~mask

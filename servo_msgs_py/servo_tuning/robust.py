@@ -7,12 +7,12 @@ depends on values that are measured with an uncertainty and that change with the
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import AXIS_NAMES, axis_name
 
 from servo_tuning.assessment import assess
 from servo_tuning.errors import ConfigError, Problem, Table, exactly
@@ -34,6 +34,10 @@ PHASE_OPTION: Final = "--phase-margin"
 """Option of the command with another phase margin."""
 
 _SPEED, _POSITION = "control.speed_bandwidth", "control.position_gain"
+_OBSERVED, _OBSERVER = "features.speed_observer", "control.observer_bandwidth"
+_OBSERVERS: Final = (2.0, 1.0, 0.5, 0.25)  # bandwidths of observers that are tried, over that of the file
+_OBSERVER_BETTER: Final = 1.3  # smallest ratio of the speed bandwidths with and without an observer
+_LOWEST: Final = 2.0  # speed bandwidth of a servo [Hz]
 _RAMPS: Final = ("limits.acceleration", "control.path_current_use")
 """Accelerations of the set-points: a heavier shaft needs more current for them."""
 
@@ -51,8 +55,8 @@ class ShaftModel:
 
 
 def stable(shaft: ShaftModel, design: Tuned) -> bool:
-    """Whether speed and position loop of a configuration are stable with a shaft, with the M/T method."""
-    loops = shaft.within(design.shaft(observed=False))
+    """Whether speed and position loop of a configuration are stable with a shaft."""
+    loops = shaft.within(design.shaft())
     return spectral_radius(loops.speed_alone) < 1.0 and spectral_radius(loops.position.a) < 1.0
 
 
@@ -67,7 +71,7 @@ def robust_position(loops: ShaftLoops, phase_min: float) -> bool:
 
 
 def _stable_with_gain(loops: ShaftLoops, gain: float) -> bool:
-    """Whether the speed loop is stable, also with a higher gain: exact, a narrow resonance is not missed by a grid."""
+    """Whether the speed loop is stable, also with a higher gain: by its poles, which a narrow resonance has, too."""
     speed = loops.gains.speed
     higher = replace(loops.gains, speed=replace(speed, kp=gain * speed.kp, ki=gain * speed.ki))
     return all(spectral_radius(one.speed_alone) < 1.0 for one in (loops, replace(loops, gains=higher)))
@@ -82,13 +86,15 @@ def with_shaft(base: Table, axis: int, shaft: ShaftModel) -> dict[str, Any]:
     """A ``servo.toml`` with another shaft of one axis."""
     table, name = copy.deepcopy(dict(base)), axis_name(axis)
     own = table.setdefault(name, {})
-    own.pop(MEMBERS, None)
     rotor = value_in(table, f"{name}.motor.rotor_inertia")
     motor = {"inertia": _rounded(shaft.inertia)}
     if isinstance(rotor, float) and rotor > motor["inertia"]:
         motor["rotor_inertia"] = motor["inertia"]
     own["motor"] = {**own.get("motor", {}), **motor}
     own.pop("load", None)
+    if (shared := table.get("defaults", {}).pop("load", None)) is not None:  # remains that of the other axes
+        for other in set(AXIS_NAMES) - {name}:
+            table.setdefault(other, {}).setdefault("load", shared)
     if shaft.load is not None:
         entries = {"inertia": shaft.load.inertia, "stiffness": shaft.load.stiffness, "damping": shaft.load.damping}
         own["load"] = {key: _rounded(value) for key, value in entries.items()}
@@ -105,7 +111,8 @@ def robust(
 ) -> Table:
     """Configuration of an axis whose loops keep the margins with every shaft.
 
-    The bandwidths are those of `base` or lower, by steps of `BANDWIDTH_STEP`. Accelerations of the set-points for which
+    The bandwidths are those of `base` or lower, by steps of `BANDWIDTH_STEP`, with the M/T method or an observer of the
+    speed. Accelerations of the set-points for which
     the current limit is too low with this shaft are lowered.
 
     Parameters
@@ -121,24 +128,66 @@ def robust(
     phase_min : float
         Phase margin of speed and position loop [degrees].
     attend : callable, optional
-        Called before each model that is computed, at intervals below 0.1 s on a usual computer.
+        Called before each model that is computed.
 
     Raises
     ------
     ConfigError
         If no bandwidth keeps the margins, or the configuration is not possible with this shaft.
     """
-    name = axis_name(axis)
-    search = _Search(with_shaft(base, axis, nominal), axis, list(shafts), attend)
-    if (found := search.found(phase_min)) is not None:
+    name, remaining = axis_name(axis), list(shafts)
+    if MEMBERS in base.get(name, {}):
+        reason = "replaces what the bandwidths determine"
+        raise ConfigError(Problem(f"[{name}.{MEMBERS}] {reason}", advice="remove it from the file and the board"))
+    searches = [_Search(with_shaft(one, axis, nominal), axis, remaining, attend) for one in _estimates(base, name)]
+    if (found := _best(searches, phase_min)) is not None:
         return _with_ramps(found, axis, attend)
     lower = (phase for phase in PHASES_MIN if phase < phase_min)
-    possible = next((phase for phase in lower if search.found(phase) is not None), None)
+    possible = next((phase for phase in lower if _best(searches, phase) is not None), None)
     fact = f"{name}: no bandwidth keeps a phase margin of {phase_min:g} degrees and a gain margin of {GAIN_MIN:g}"
     fact = f"{fact} with this load"
     if possible is None:
         raise ConfigError(Problem(fact, advice="stiffen its coupling, or add damping"))
     raise ConfigError(Problem(fact, remedies=(exactly(PHASE_OPTION, possible),)))
+
+
+def _estimates(base: Table, name: str) -> Iterator[Table]:
+    """The configuration with the M/T method, and with observers of the speed."""
+    yield with_value(base, f"{name}.{_OBSERVED}", False)
+    bandwidth = float(str(value_in(base, f"{name}.{_OBSERVER}")))
+    for part in _OBSERVERS:
+        yield with_value(with_value(base, f"{name}.{_OBSERVED}", True), f"{name}.{_OBSERVER}", part * bandwidth)
+
+
+def _best(searches: Sequence[_Search], phase_min: float) -> Table | None:
+    """The configuration with the highest speed bandwidth; None: none keeps the margins.
+
+    The slower an observer, the less it shows of a high resonance, and the more it relies on the inertia of the
+    configuration; so it has to be better than the first one, the M/T method, by `_OBSERVER_BETTER`.
+
+    Raises
+    ------
+    ConfigError
+        If every configuration is refused.
+    """
+    best, highest, refusal, refused_only = None, 0.0, None, True
+    for search in searches:
+        try:
+            found = search.found(phase_min)
+        except ConfigError as error:
+            refusal = refusal or error
+            continue
+        refused_only = False
+        if found is None:
+            continue
+        speed = search.speed_of(found) / (1.0 if search is searches[0] else _OBSERVER_BETTER)
+        if speed > highest:
+            best, highest = found, speed
+        if highest >= search.speed_of(search.table) / _OBSERVER_BETTER:
+            break  # no other one is better
+    if refusal is not None and refused_only:
+        raise refusal
+    return best
 
 
 @dataclass(frozen=True)
@@ -159,8 +208,10 @@ class _Search:
             If every configuration is refused.
         """
         name = axis_name(self.axis)
-        speed, position = (float(str(value_in(self.table, f"{name}.{entry}"))) for entry in (_SPEED, _POSITION))
-        steps = [BANDWIDTH_STEP**k for k in range(BANDWIDTH_STEPS)]
+        speed = self.speed_of(self.table)
+        position = float(str(value_in(self.table, f"{name}.{_POSITION}")))
+        parts = [BANDWIDTH_STEP**k for k in range(BANDWIDTH_STEPS)]
+        steps = [part for part in parts if part == 1.0 or part * speed >= _LOWEST]
 
         def with_parts(of_speed: float, of_position: float) -> Table:
             table = with_value(self.table, f"{name}.{_SPEED}", _rounded(of_speed * speed))
@@ -170,10 +221,14 @@ class _Search:
         part = self._first(steps, lambda step: with_parts(step, step), partial(robust_speed, phase_min=phase_min))
         if part is None:
             return None
-        slower = [part * step for step in steps]
+        slower = [part * step for step in parts]
         keeps = partial(robust_position, phase_min=phase_min)
         of_position = self._first(slower, lambda step: with_parts(part, step), keeps)
         return None if of_position is None else with_parts(part, of_position)
+
+    def speed_of(self, table: Table) -> float:
+        """Speed bandwidth of a configuration [Hz]."""
+        return float(str(value_in(table, f"{axis_name(self.axis)}.{_SPEED}")))
 
     def _first(
         self, steps: Iterable[float], table_of: Callable[[float], Table], keeps: Callable[[ShaftLoops], bool]
@@ -199,7 +254,7 @@ class _Search:
 
     def _kept(self, shaft: ShaftModel, design: Tuned, keeps: Callable[[ShaftLoops], bool]) -> bool:
         self.attend()
-        return keeps(shaft.within(design.shaft(observed=False)))
+        return keeps(shaft.within(design.shaft()))
 
 
 def _with_ramps(table: Table, axis: int, attend: Callable[[], None]) -> Table:
@@ -213,7 +268,10 @@ def _with_ramps(table: Table, axis: int, attend: Callable[[], None]) -> Table:
         design = tuned_axis(changed, axis)
         return next((one for one in findings(design, assess(design)) if one.entry in entries), None)
 
-    return corrected(table, lambda remedy: remedy.entry in entries, check).table
+    found = corrected(table, lambda remedy: remedy.entry in entries, check)
+    if found.problem is not None:
+        raise ConfigError(found.problem)
+    return found.table
 
 
 def _rounded(value: float) -> float:

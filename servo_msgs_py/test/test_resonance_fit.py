@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from servo_measurement.access import MeasurementError
 from servo_measurement.frequency_response import Response
 from servo_measurement.prediction import Prediction
 from servo_measurement.resonance import CHANGE, Resonance, Shaft, fitted
@@ -91,6 +92,14 @@ def test_the_group_is_that_of_the_tuning_and_the_text_names_another_inertia() ->
     assert group["inertia"] == pytest.approx(0.75 * 1.3 * nominal, rel=0.02)
     assert group.keys() == {"inertia", "stiffness", "damping"}
     assert f"write {found.shaft.inertia:.4g}" in found.text()
+
+
+def test_too_few_points_are_refused() -> None:
+    """Instead of the shaft of the configuration."""
+    few = measured(None, 1.0, 0.02, 1)
+    few = replace(few, coherence=np.where(np.arange(240) < 19, few.coherence, 0.0))
+    with pytest.raises(MeasurementError, match="too few"):
+        fitted(PREDICTION, few)
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0, 8.0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, Final
 
-from servo_measurement.access import MeasurementError
+from servo_measurement.access import FAULT, OSCILLATION, MeasurementError
 from servo_measurement.autotune import Autotuned, AutotuneRequest
 from servo_measurement.autotune import autotune as tune
 from servo_measurement.autotune_command import ABOUT, add_options, configuration, finish, request_of
@@ -79,7 +79,7 @@ def _run(args: argparse.Namespace) -> int:
     with Board(plant, seed=args.seed, level=level, servo=ServoConfig.of_table(base)) as board:
         board.run(BOOT)
         access = VirtualBoardAccess(board)
-        return finish("servo-sim", args, lambda: tune(access, request, base, report=complain))
+        return finish("servo-sim", args, lambda keep: tune(access, request, base, report=complain, keep=keep))
 
 
 # ---- random loads ---------------------------------------------------------------------------------------------------
@@ -133,52 +133,38 @@ class Trials:
         rigid = self.plant.axes[axis]
         rigid = dataclasses.replace(rigid, inertia=inertia * rigid.inertia)
         plant = self.plant.with_axis(axis, **dataclasses.asdict(load.of(rigid)))
-        watched = _Watched(axis)
         with Board(plant, seed=self.seed, level=self.level, servo=ServoConfig.of_table(self.base)) as board:
             board.run(BOOT)
             access = VirtualBoardAccess(board)
             try:
-                found = tune(access, self.request, self.base, report=lambda _: watched.look(board))
+                found = tune(access, self.request, self.base)
             except (ConfigError, MeasurementError, ValueError) as error:
-                watched.look(board)
-                return Trial(load, inertia, str(error), watched.found, board.clock(), 0.0, 0.0)
-            watched.look(board)
+                return Trial(load, inertia, str(error), _unstable(error), board.clock(), 0.0, 0.0)
             seconds = board.clock()
-            if not found.problems:
-                self._changed(board, access, found, load, watched)
-        predicted = found.shaft.within(found.after.shaft(observed=False)).speed_margins().phase or 0.0
+            unstable = "" if found.problems else self._changed(board, access, found)
+        predicted = found.shaft.within(found.after.shaft()).speed_margins().phase or 0.0
         phase = abs(found.measured.phase or 0.0) - abs(predicted)
         outcome = "; ".join(map(str, found.problems)) or CONFIRMED
-        bandwidth = found.after.axis("control.speed_bandwidth")
-        return Trial(load, inertia, outcome, watched.found, seconds, bandwidth, phase)
+        return Trial(load, inertia, outcome, unstable, seconds, found.after.axis("control.speed_bandwidth"), phase)
 
-    def _changed(
-        self, board: Board, access: VirtualBoardAccess, found: Autotuned, load: SprungLoad, watched: _Watched
-    ) -> None:
-        """Move with another resonance."""
-        stiffness = board.plant.axes[found.request.axis].shaft_stiffness
-        rig = RunningAxis(access, found.request.axis)
+    def _changed(self, board: Board, access: VirtualBoardAccess, found: Autotuned) -> str:
+        """Move with other resonances; returns the oscillation or fault that was found."""
+        axis = found.request.axis
+        stiffness = board.plant.axes[axis].shaft_stiffness
+        rig = RunningAxis(access, axis)
         for factor in (CHANGE, 1.0 / CHANGE):
-            board.set_plant(f"{axis_name(found.request.axis)}.shaft_stiffness", stiffness * factor**2)
+            board.set_plant(f"{axis_name(axis)}.shaft_stiffness", stiffness * factor**2)
             try:
                 move_and_back(rig, found.moves[0].distance, found.after.axis("control.position_gain"))
             except MeasurementError as error:
-                watched.found = watched.found or f"{factor * load.frequency:.3g} Hz: {error}"
-            watched.look(board)
+                return f"resonance times {factor:.3g}: {error}"
+        return ""
 
 
-@dataclass
-class _Watched:
-    """Oscillations and faults of an axis."""
-
-    axis: int  # index
-    found: str = ""  # the first one
-
-    def look(self, board: Board) -> None:
-        name = axis_name(self.axis)
-        hertz, faults = (board.read_words(f"{name}.{word}")[0] for word in ("oscillation", "faults"))
-        if hertz or faults:
-            self.found = self.found or f"faults {faults:#x}, oscillation at {hertz} Hz"
+def _unstable(error: Exception) -> str:
+    """The text of an error because of an oscillation or a fault; empty: it has another reason."""
+    about = error.about if isinstance(error, MeasurementError) else ""
+    return str(error) if about in (OSCILLATION, FAULT) else ""
 
 
 def _trials(args: argparse.Namespace, work: Trials) -> int:
