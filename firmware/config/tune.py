@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from servo_msgs_py.runtime.program import run
+from servo_msgs_py.runtime.program import program, run
 
 if __name__ == "__main__":
-    sys.exit(run("tune.py", "servo_tuning.command"))
+    sys.exit(program("tune.py")(lambda: run("tune.py", "servo_tuning.command"))())

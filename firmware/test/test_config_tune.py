@@ -59,7 +59,7 @@ def test_refusal_is_printed_and_nothing_is_written(tmp_path: Path, capsys: pytes
     assert capsys.readouterr().err == captured.err
 
 
-def test_invalid_toml_and_missing_file_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_toml_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     broken = tmp_path / "servo.toml"
     broken.write_bytes(b"[board\n")
     assert generate(broken) == 1
@@ -67,8 +67,6 @@ def test_invalid_toml_and_missing_file_are_reported(tmp_path: Path, capsys: pyte
     broken.write_bytes(b"\xff\xfe[board]")
     assert generate(broken) == 1
     assert str(broken) in capsys.readouterr().err
-    assert generate(tmp_path / "none.toml") == 1
-    assert "none.toml" in capsys.readouterr().err
 
 
 def test_an_axis_may_override_the_defaults(tmp_path: Path) -> None:
@@ -98,14 +96,29 @@ def test_warnings_do_not_prevent_writing(tmp_path: Path, capsys: pytest.CaptureF
     assert any("control.position_gain" in line and "K_v T" in line for line in lines)
 
 
-def test_tool_runs_as_a_script_with_the_contract_alone() -> None:
-    """As called by `make generate`: no package of the project is installed."""
+def as_script(*arguments: str, output: int | None = subprocess.PIPE) -> tuple[int, str]:
+    """Exit status and standard error of the script, as called by `make`: no package of the project is installed."""
     environment = {**os.environ, "PYTHONPATH": str(Path(servo_msgs_py.__file__).parents[1])}
-    script = FIRMWARE / "config" / "tune.py"
-    result = subprocess.run(
-        [sys.executable, script, "--check"], env=environment, capture_output=True, text=True, check=False
-    )
-    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    command = [sys.executable, str(FIRMWARE / "config" / "tune.py"), *arguments]
+    result = subprocess.run(command, env=environment, stdout=output, stderr=subprocess.PIPE, text=True, check=False)
+    return result.returncode, result.stderr
+
+
+def test_tool_runs_as_a_script_with_the_contract_alone() -> None:
+    assert as_script("--check") == (0, "")
+
+
+def test_files_and_streams_that_fail_are_named(tmp_path: Path) -> None:
+    missing = tmp_path / "none.toml"
+    assert as_script("report", "--config", str(missing)) == (2, f"tune.py: {missing}: No such file or directory\n")
+    full = "tune.py: /dev/full: No space left on device\n"
+    assert as_script("report", "--plot", "/dev/full") == (1, full)
+    with open("/dev/full", "w") as stream:
+        assert as_script("report", output=stream.fileno()) == (1, full.replace("/dev/full", "output"))
+    reader, writer = os.pipe()
+    os.close(reader)
+    assert as_script("report", output=writer) == (141, "")
+    os.close(writer)
 
 
 # ---- command line ---------------------------------------------------------------------------------------------------

@@ -31,7 +31,8 @@ Tune the two axes: convert motor data, inertia and bandwidths of a configuration
 firmware. A configuration that cannot work is refused with the entry, the reason and a remedy."""
 
 _EPILOG: Final = """\
-exit status: 0 done; 1 the configuration is refused, or with --check the C file is out of date; 2 wrong arguments.
+exit status: 0 done; 1 the configuration is refused, or with --check the C file is out of date; 2 wrong arguments, or
+a file that cannot be opened.
 Warnings are printed to standard error and do not change the exit status.
 
 another motor: edit servo.toml (or a copy), check it with `tune.py report`, then `make generate` and `make build`;
@@ -97,9 +98,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(given)
     try:
         return int(args.run(args, load(args.config, Catalogue.load())))
-    except (OSError, ConfigError) as error:
-        text = explained(error) if isinstance(error, ConfigError) else error
-        print(f"{args.config}: {text}", file=sys.stderr)
+    except ConfigError as error:
+        print(f"{args.config}: {explained(error)}", file=sys.stderr)
     except PictureError as error:
         print(error, file=sys.stderr)
     return 1
