@@ -772,8 +772,19 @@ class Board:
         self._lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
 
     def obstruct_shaft(self, axis: int, below: float, above: float) -> None:
-        """Set end stops at these distances from the present angle of the shaft [rad]; infinite: none."""
-        self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above)
+        """Set end stops at these distances from the present angle of the shaft [rad]; infinite: none.
+
+        Raises
+        ------
+        BoardError
+            If a distance is no number.
+        """
+        index = _axis_index(axis)
+        if math.isnan(below) or math.isnan(above):
+            raise BoardError(
+                f"{axis_name(axis)}: end stops {below:g} and {above:g} rad; write distances, or inf for none"
+            )
+        self._lib.board_obstruct_shaft(self._board, index, below, above)
 
     def drive_shaft(self, axis: int, theta: float, omega: float, seconds: float) -> None:
         """Move the shaft to an angle and a speed from outside: another simulator owns its inertia (doc/coupling.md).

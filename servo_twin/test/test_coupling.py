@@ -181,6 +181,11 @@ def test_brake_of_no_inertia_or_time_is_refused(inertia: float, seconds: float) 
         board.brake_torque(AXIS, inertia, seconds)
 
 
+def test_end_stop_at_no_distance_is_refused() -> None:
+    with Board(seed=4) as board, pytest.raises(BoardError, match="axis1: end stops 1 and nan rad"):
+        board.obstruct_shaft(AXIS, 1.0, math.nan)
+
+
 @pytest.mark.parametrize(
     ("motion", "changes", "message"),
     [
