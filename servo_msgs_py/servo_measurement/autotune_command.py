@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.figure import check_picture
 from servo_msgs_py.quantity import Quantity
-from servo_msgs_py.runtime.program import complain
 from servo_tuning.board_file import blocks_of
 from servo_tuning.errors import ConfigError, Table
 from servo_tuning.reading import SERVO_TOML, read_table
@@ -109,15 +109,15 @@ def finish(program: str, args: argparse.Namespace, tune: Callable[[Callable[[Aut
     try:
         found = tune(lambda result: write_configuration(result, args.out))
     except ConfigError as error:
-        complain(f"{program}: {explained(error)}")
+        print(f"{program}: {explained(error)}", file=sys.stderr)
         return 1
     except (MeasurementError, ValueError) as error:  # a number or a block was refused
-        complain(f"{program}: {error}")
+        print(f"{program}: {error}", file=sys.stderr)
         return 1
     draw(found, args.out / PICTURE)
     print(json.dumps(as_dict(found), allow_nan=False) if args.json else text(found))
     for problem in found.problems:
-        complain(f"{program}: not confirmed, the board has its configuration from before: {problem}")
+        print(f"{program}: not confirmed, the board has its configuration from before: {problem}", file=sys.stderr)
     if not found.problems and not args.json:
         print(f"confirmed; {args.out / CONFIG}")
     return 1 if found.problems else 0
