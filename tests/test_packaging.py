@@ -41,7 +41,7 @@ NEIGHBOURS = {"servo_msgs_py": set(), "servo_bridge": {"servo_msgs_py"}, "servo_
 # Modules whose name is not the rosdep key in package.xml, and modules that have no key.
 MODULES_OF_KEY = {"python3-serial": {"serial"}, "python3-cffi": {"cffi"}}
 WITHOUT_KEY = {
-    "servo_msgs_py": {"lz4", "mcap", "rosbags", "tomli", "zstandard"},
+    "servo_msgs_py": {"lz4", "mcap", "rerun", "rosbags", "tomli", "zstandard"},
     "servo_bridge": {"argcomplete", "rerun", "tomli"},
     "servo_twin": {"gymnasium", "mujoco", "pyarrow", "rerun", "tomli"},
 }
