@@ -155,6 +155,7 @@ class Trials:
         for factor in (CHANGE, 1.0 / CHANGE):
             board.set_plant(f"{axis_name(axis)}.shaft_stiffness", stiffness * factor**2)
             try:
+                rig.wait_for_rest()
                 move_and_back(rig, found.moves[0].distance, found.after.axis("control.position_gain"))
             except MeasurementError as error:
                 return f"resonance times {factor:.3g}: {error}"
