@@ -59,7 +59,7 @@ def test_every_parser_takes_negative_numbers_and_checks_namespaces(
     assert [action.type for action in names] == [argument.namespace] * len(names)
 
 
-@pytest.mark.parametrize("text", ["-1e-3", "-1.", "-.5E+2", "-inf", "-3,4", "-0x1f", "-1_000"])
+@pytest.mark.parametrize("text", ["-1e-3", "-1.", "-.5E+2", "-inf", "-3,4", "-0x1f", "-1_000", "-0b101", "-infinity"])
 def test_negative_numbers_are_values(text: str) -> None:
     parser = argument.Parser()
     parser.add_argument("--position")

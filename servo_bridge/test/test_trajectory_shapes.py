@@ -155,6 +155,13 @@ def test_a_move_of_any_numbers_is_planned_or_refused(goal: float, duration: floa
         move(["axis1"], [0.0], [goal], duration, [Limits(velocity_max=300.0, acceleration_max=4000.0)])
 
 
+def test_a_ramp_that_is_too_short_for_its_points_is_named() -> None:
+    with pytest.raises(TrajectoryError, match="use a ramp of at least") as caught:
+        sine("axis1", 0.0, 1.0, 1.0, 60.0, ramp=1e-3)
+    (ramp,) = re.findall(r"at least ([\d.e-]+) s", str(caught.value))
+    sine("axis1", 0.0, 1.0, 1.0, 60.0, ramp=float(ramp))
+
+
 @pytest.mark.parametrize(("frequency", "duration"), [(1e4, 1e5), (4200.0, 1.0), (1.0, 5000.0), (100.0, 41.7)])
 def test_values_that_the_refusal_of_a_sine_names_are_accepted(frequency: float, duration: float) -> None:
     with pytest.raises(TrajectoryError, match="waypoints, more than 100000") as caught:

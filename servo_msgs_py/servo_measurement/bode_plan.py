@@ -324,9 +324,9 @@ def _lowest_frequency(capacity: int, slow: bool) -> float:
 def _slower(request: BodeRequest, settings: Settings, limit: float) -> str:
     """What keeps the speed with the test signal within a limit [rad/s]."""
     speed, excursion = abs(settings.speed), settings.speed_amplitude
-    if request.amplitude is None:  # the default falls with the speed
+    if request.amplitude is None and speed:  # the default falls with the speed
         return f"use a speed of at most {rounded_down(limit / (1.0 + _EXCURSION)):g} rad/s"
-    if excursion < limit:
+    if excursion < limit and speed:
         return f"use a speed of at most {rounded_down(limit - excursion):g} rad/s"
     room = limit - speed if speed < limit else (1.0 - _SPEED_PART[settings.loop.name]) * limit
     text = f"use an amplitude of at most {rounded_down(settings.amplitude * room / excursion):g} {settings.loop.unit}"

@@ -17,7 +17,9 @@ _NOT_NEGATIVE: Final = Quantity(minimum=0.0)
 _POSITIVE: Final = Quantity(minimum=ABOVE_0)
 _WHOLE: Final = Quantity(minimum=0.0, whole=True)
 _COUNT: Final = Quantity(minimum=1.0, whole=True)
-_NEGATIVE: Final = re.compile(r"-(\.?\d[\d._]*(e[+-]?\d+)?|0x[\da-f]+|inf|nan)(,.*)?$", re.IGNORECASE)
+_NEGATIVE: Final = re.compile(
+    r"-(\.?\d[\d._]*(e[+-]?\d+)?|0x[\da-f]+|0b[01]+|0o[0-7]+|inf(inity)?|nan)(,.*)?$", re.IGNORECASE
+)
 _NAMESPACE: Final = re.compile(r"/?([a-z_]\w*/)*([a-z_]\w*)?", re.ASCII | re.IGNORECASE)
 
 

@@ -16,7 +16,7 @@ motors lost their encoder, or friction held them with the speed loop that such a
 CURRENT_SAMPLES_MIN: Final = 9.0
 """Samples per period at the largest recommended bandwidth of the current loop; 8 give a phase margin of 45 degrees."""
 
-INTEGRAL_CORNER_MAX: Final = 1.0 / 6.0
+INTEGRAL_CORNER_MIN: Final = 1.0 / 6.0
 """Smallest corner of the integral part of a current controller, over its bandwidth, if the phase margin permits it.
 With a large L / R pole-zero cancellation makes the integral part slow. Near zero current dead time acts as a
 resistance, in four random motors of 4 to 115 ohm: the current lagged its set-point by 30 ms and more, and light shafts
@@ -79,7 +79,7 @@ def _current(axis: Axis, inductance: float, board: Board) -> Pi:
     """Pole-zero cancellation, the open loop is omega / s; or a faster integral part."""
     omega = 2.0 * math.pi * axis("control.current_bandwidth")
     permitted = math.pi / 2.0 - omega * board.period - CURRENT_PHASE_MIN  # the loop has a delay of one period
-    corner = omega * min(INTEGRAL_CORNER_MAX, max(math.tan(permitted), 0.0))
+    corner = omega * min(INTEGRAL_CORNER_MIN, max(math.tan(permitted), 0.0))
     kp, ki = omega * inductance, omega * max(axis("motor.r_s"), corner * inductance) * board.period
     return Pi(kp, ki, _anti_windup(axis, ki / kp))
 

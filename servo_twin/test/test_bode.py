@@ -208,6 +208,17 @@ def test_values_that_a_refusal_names_are_accepted(access: VirtualBoardAccess, re
     plan(access, replace(refused, **changes))
 
 
+@pytest.mark.parametrize("loop", ["speed", "position"])
+def test_an_amplitude_is_named_for_a_measurement_at_standstill(access: VirtualBoardAccess, loop: str) -> None:
+    """There is no lower speed than 0."""
+    access.write("param.speed_limit", [8.0], 0)
+    request = BodeRequest(0, loop, speed=0.0)
+    with pytest.raises(MeasurementError, match="use an amplitude of at most") as caught:
+        plan(access, request)
+    amplitude = re.findall(r"at most ([\d.]+)", str(caught.value))[0]
+    plan(access, replace(request, amplitude=float(amplitude)))
+
+
 def plan(access: VirtualBoardAccess, request: BodeRequest) -> None:
     """Raise a `MeasurementError` if a measurement is not possible."""
     settings, _, bands = complete_settings(access, request)

@@ -72,6 +72,13 @@ def test_the_controller_is_tuned_for_it(folder: Path) -> None:
     assert (folder / "identify.png").stat().st_size > 10_000
 
 
+def test_a_refusal_leaves_the_recording_of_an_earlier_run(tmp_path: Path) -> None:
+    earlier = tmp_path / "measurement.npz"
+    earlier.write_text("earlier")
+    assert main(["identify", "--current", "99", "--out", str(tmp_path)]) == 1
+    assert earlier.read_text() == "earlier"
+
+
 def test_a_recording_with_missing_samples_is_enough(folder: Path, tmp_path: Path) -> None:
     log = MeasurementLog.load(folder / "measurement.npz")
     rng = np.random.default_rng(2)

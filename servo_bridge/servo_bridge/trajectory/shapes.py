@@ -192,9 +192,12 @@ def _waves(
     step = min(1.0 / max(frequencies), rise) / _PER_WAVE
     if (count := duration / step) > WAYPOINTS_MAX - 3 * _PER_WAVE:  # before they are made
         waves = 0.99 * WAYPOINTS_MAX / _PER_WAVE
+        remedy = f"use at most {waves / duration:.3g} Hz, or {waves / max(frequencies):.3g} s"
+        if rise < 1.0 / max(frequencies):
+            remedy = f"use a ramp of at least {duration / waves:.3g} s"
         raise TrajectoryError(
-            f"{max(frequencies):g} Hz for {duration:g} s are {count:.3g} waypoints, more than {WAYPOINTS_MAX}; "
-            f"use at most {waves / duration:.3g} Hz, or {waves / max(frequencies):.3g} s"
+            f"{max(frequencies):g} Hz for {duration:g} s with ramps of {rise:g} s are {count:.3g} waypoints, more than "
+            f"{WAYPOINTS_MAX}; {remedy}"
         )
     spans = [(0.0, rise), (rise, duration - rise), (duration - rise, duration)]
     t = np.unique(np.concatenate([np.linspace(a, b, math.ceil((b - a) / step) + 1) for a, b in spans]))

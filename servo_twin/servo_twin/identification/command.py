@@ -151,7 +151,8 @@ def _run(args: argparse.Namespace) -> int:
             report=_report,
         )
         log.notes["problem"] = problem
-        log.save(args.out / "measurement.npz")
+        if log.recordings:  # else that of an earlier measurement stays
+            log.save(args.out / "measurement.npz")
     model = args.model or (
         DETAILED_MODEL if args.recording is not None else chosen_level(args.level, default=FAST_LEVEL)
     )
