@@ -9,7 +9,6 @@
 #include "config/axis_members.h"
 #include "config/servo_config.h"
 
-#define BOARD_SPEED_MAX 2000.0 /* of a driven shaft, whose encoder edges are queued [rad/s] */
 #define OPERATION_ROOM 24u /* bytes of an operation of SETREC, at most */
 
 void board_servo_config(const board_config_t *config, servo_config_t *servo)

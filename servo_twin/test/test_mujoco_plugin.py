@@ -267,20 +267,50 @@ def test_configuration_of_the_instance_is_that_of_the_board() -> None:
     assert data.actuator_force[0] == pytest.approx(0.0, abs=1e-4)
 
 
+@pytest.mark.parametrize("jump", [0.3, 30.0])
 @pytest.mark.parametrize("mode", ["POSITION", "TRAJECTORY"])
-def test_jump_of_a_joint_is_named_and_the_axis_goes_on(mode: str, warnings: list[str]) -> None:
-    """The joint is moved by hand, and then too fast for an encoder: each is one warning. `ctrl` is still its angle."""
+def test_jump_of_a_joint_is_named_and_the_axis_goes_on(mode: str, jump: float, warnings: list[str]) -> None:
+    """The joint is moved by hand, with `ctrl` and alone: each is one warning, and `ctrl` is still the joint's angle."""
     model, data = started(arm(f"shoulder {mode}"))
+    message = f"servo.board: actuator 0: the joint has jumped by {jump:g} rad"
+    model.opt.gravity[:] = 0.0
     data.ctrl[0] = 20.0
-    run(model, data, 1000)
-    data.qpos[0] += 1.0
     run(model, data, 2000)
-    assert GEAR * data.qpos[0] == pytest.approx(20.0, abs=0.05)
-    assert len([one for one in warnings if "actuator 0: the joint has jumped by 100 rad" in one]) == 1
+    warnings.clear()  # of the step in mode TRAJECTORY
+    data.qpos[0] += jump / GEAR
+    data.ctrl[0] += jump
+    torques = []
+    for _ in range(400):
+        mujoco.mj_step(model, data)
+        torques.append(data.actuator_force[0])
+    assert np.ptp(torques) < 0.03
+    assert GEAR * data.qpos[0] == pytest.approx(20.0 + jump, abs=0.05)
+    data.qpos[0] += jump / GEAR
+    run(model, data, 3000)
+    assert GEAR * data.qpos[0] == pytest.approx(20.0 + jump, abs=0.05)
+    assert [one[: len(message)] for one in warnings] == 2 * [message]
+
+
+@pytest.mark.parametrize(("integrator", "step"), [("Euler", 0.002), ("RK4", 0.0005), ("RK4", 0.005)])
+def test_impact_at_an_end_stop_is_no_jump(integrator: str, step: float, warnings: list[str]) -> None:
+    text = (
+        arm(step=step).replace("implicitfast", integrator).replace('name="elbow" ', 'name="elbow" range="-60 60" ', 1)
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qvel[1] = 10.0
+    run(model, data, round(0.3 / step))
+    assert data.qvel[1] < -0.5
+    assert not any("has jumped" in one for one in warnings)
+
+
+def test_joint_that_is_too_fast_for_an_encoder_is_named_once(warnings: list[str]) -> None:
+    model, data = started(arm())
     for _ in range(5):
         data.qvel[0] = 50.0
         mujoco.mj_step(model, data)
-    assert len([one for one in warnings if "faster than 2000 rad/s" in one]) == 1
+    assert len(warnings) == 1
+    assert "actuator 0: the motion is not a number, or faster than 2000 rad/s" in warnings[0]
 
 
 def test_two_motors_of_a_board_turn_one_joint() -> None:

@@ -9,6 +9,8 @@
 /* From the arrival of a point until its predecessor is reached; the board needs 1.5 ms. */
 #define AHEAD_NS UINT64_C(2000000)
 #define ARRIVED 0.01 /* [rad] */
+#define JUMP_MIN 0.05 /* that the firmware bears as a motion; it reported OVER_CURRENT after 0.3 within 0.5 ms [rad] */
+#define RK4_SPEED 1000.0 /* more than the reversal of a motor at its highest speed, 419 rad/s [rad/s] */
 #define CALIB_MAX 1.0 /* of a shaft at rest: 0.1 [s] */
 #define ALIGN_MAX 3.0 /* of a shaft with friction: at most 2 [s] */
 
@@ -165,35 +167,39 @@ static bool homes(exported_t *board, const drive_t *drive, coupled_axis_t *of)
     return of->homing != HOMING_ENDED;
 }
 
-/* A joint that was moved by hand is coupled anew: the firmware sees nothing, the control signal is still the joint's angle. */
-static void couple_anew(coupled_axis_t *of, double jump)
+/* Length of the motion in a time step beyond that of its speed [rad]. Every integrator but RK4 moves a joint by exactly its new
+ * speed times the step, also in contacts. RK4 moves it by a mean of the speeds within the step. */
+static double jump_min(const mjModel *m)
 {
-    of->offset -= jump;
-    of->zero += jump;
-    of->path = PATH_NONE;
-    of->last = NAN;
+    return JUMP_MIN + ((m->opt.integrator == mjINT_RK4) ? RK4_SPEED * m->opt.timestep : 0.0);
 }
 
-void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_t *drive, int axis, coupled_axis_t *of)
+void drive_couple(const mjModel *m, const mjData *d, const board_t *board, const drive_t *drive, int axis,
+                  coupled_axis_t *of)
 {
-    const double step = m->opt.timestep;
     board_truth_t truth;
     double theta;
     double omega;
     drive_motion(m, d, drive->actuator, &theta, &omega);
-    const char *problem = board_drive_shaft(board, axis, theta + of->offset, omega, step);
-    if (problem != NULL) {
-        board_truth(board, axis, &truth);
-        const double jump = theta + of->offset - (truth.theta_m + omega * step);
-        problem = board_drive_shaft(board, axis, truth.theta_m + omega * step, omega, step);
-        if (problem == NULL) {
-            couple_anew(of, jump);
-            mju_warning(PLUGIN_NAME
-                        ": actuator %d: the joint has jumped by %g rad of the motor; the shaft is coupled to "
-                        "it anew, and angles of its switches have moved by as much",
-                        drive->actuator, jump);
-        }
+    board_truth(board, axis, &truth);
+    const double jump = theta + of->offset - (truth.theta_m + omega * m->opt.timestep);
+    if (isfinite(jump) && fabs(jump) > jump_min(m) && fabs(omega) <= BOARD_SPEED_MAX) {
+        of->offset -= jump;
+        of->zero += jump;
+        of->path = PATH_NONE;
+        of->last = NAN;
+        mju_warning(PLUGIN_NAME ": actuator %d: the joint has jumped by %g rad of the motor; the shaft is coupled to "
+                                "it anew, and angles of its switches have moved by as much",
+                    drive->actuator, jump);
     }
+}
+
+void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_t *drive, int axis, coupled_axis_t *of)
+{
+    double theta;
+    double omega;
+    drive_motion(m, d, drive->actuator, &theta, &omega);
+    const char *problem = board_drive_shaft(board, axis, theta + of->offset, omega, m->opt.timestep);
     if (problem != NULL && of->too_fast == 0) {
         mju_warning(PLUGIN_NAME ": actuator %d: %s", drive->actuator, problem);
     }

@@ -50,6 +50,10 @@ typedef struct {
 /* Angle [rad] and speed [rad/s] of the motor of an actuator. */
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega);
 
+/* Couple a joint anew that was moved by hand: the firmware sees nothing, the control signal is still the joint's angle. */
+void drive_couple(const mjModel *m, const mjData *d, const board_t *board, const drive_t *drive, int axis,
+                  coupled_axis_t *of);
+
 /* Move the shaft with its joint. */
 void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_t *drive, int axis, coupled_axis_t *of);
 

@@ -267,6 +267,11 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
     }
     board_t *board = exported_board(exported);
     give_inputs(d, own);
+    for (int axis = 0; axis < AXES; axis++) { /* before all that use the zero of the control signal */
+        if (own->model.drive[axis].actuator >= 0) {
+            drive_couple(m, d, board, &own->model.drive[axis], axis, &head.axis[axis]);
+        }
+    }
     drive_follow(m, d, own->model.drive, head.axis, exported, step_ns); /* before: the mode of a path takes a step */
     for (int axis = 0; axis < AXES; axis++) {
         const drive_t *drive = &own->model.drive[axis];
