@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from servo_msgs_py.board_port import active
 from servo_msgs_py.units import TICK
-from servo_twin.board import Board, BoardError
+from servo_twin.board import Board, BoardError, SimulationError
 from servo_twin.plant import PlantConfig
 
 pytest.importorskip("mujoco", reason="there is no MuJoCo 4 for Python 3.10")
@@ -145,7 +145,7 @@ def test_trajectory_is_followed_with_its_feed_forward() -> None:
             errors.append(drives.data.qpos[0] - held - path(time + model_step(drives) - delay))
         assert np.abs(errors).max() < 0.02  # at most 0.012 seen at level registers
         drives.data.ctrl[0] += 1.0
-        with pytest.raises(CouplingError, match=r"refuses the path .*ctrl change smoothly"):
+        with pytest.raises(SimulationError, match=r"refuses the path .*ctrl change smoothly"):
             drives.wait(0.02)
 
 
@@ -232,12 +232,12 @@ def test_control_signals_have_range_and_bits_of_the_firmware() -> None:
         drives.step()
         assert board.read("cmd.speed")[0] == pytest.approx(10.0, abs=1e-5)  # type: ignore[index]
         drives.data.ctrl[0] = math.nan
-        with pytest.raises(CouplingError, match="actuator 'motor': the control signal is nan"):
+        with pytest.raises(SimulationError, match="actuator 'motor': the control signal is nan"):
             drives.step()
     with Board(PLANT, seed=4) as board:
         drives = coupled(board, "SPEED")
         drives.data.ctrl[0] = 1000.0
-        with pytest.raises(CouplingError, match=r"actuator 'motor': .*419"):
+        with pytest.raises(SimulationError, match=r"actuator 'motor': .*419"):
             drives.step()
 
 
@@ -246,7 +246,7 @@ def test_foreign_changes_of_the_model_are_refused() -> None:
         drives = coupled(board)
         drives.wait(0.01)
         mujoco.mj_resetData(drives.model, drives.data)
-        with pytest.raises(CouplingError, match="instead of mj_resetData"):
+        with pytest.raises(SimulationError, match="instead of mj_resetData"):
             drives.step()
         drives.reset()
         drives.data.qpos[0] = 100.0
@@ -255,11 +255,11 @@ def test_foreign_changes_of_the_model_are_refused() -> None:
         drives.reset()
         drives.wait(0.01)
         drives.data.qfrc_applied[0] = math.nan
-        with pytest.raises(CouplingError, match=r"MuJoCo has reset the model at 0\.01 s"):
+        with pytest.raises(SimulationError, match=r"MuJoCo has reset the model at 0\.01 s"):
             drives.step()
         drives.reset()
         drives.model.opt.timestep = 0.0007
-        with pytest.raises(CouplingError, match=r"time step of the model changed from 0.0005 to 0.0007 s"):
+        with pytest.raises(SimulationError, match=r"time step of the model changed from 0.0005 to 0.0007 s"):
             drives.step()
 
 

@@ -247,6 +247,9 @@ def test_command_writes_figures_and_a_plot(mjcf: Any, tmp_path: Path, capsys: py
     assert plot.stat().st_size > 10_000
     assert main(["robot", str(tmp_path / "none.xml")]) == 2
     assert "none.xml: no such file" in capsys.readouterr().err
+    mjcf('ctrl="8.8 14.4"', 'ctrl="2000 0"')
+    assert main(["robot", str(tmp_path / "robot.xml")]) == 1  # not wrong usage
+    assert "actuator 'shoulder'" in capsys.readouterr().err
     assert main(["robot", "arm", "--time", "0.1"]) == 0
     assert "elbow     TRAJECTORY" in capsys.readouterr().out
 

@@ -46,7 +46,7 @@ _Array = NDArray[np.float64]
 
 
 class CouplingError(ValueError):
-    """A model or a control signal does not fit the board; the message has what, where and a remedy."""
+    """A model does not fit the board; the message has what, where and a remedy."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class RobotDrives:
 
         Raises
         ------
-        CouplingError
+        SimulationError
             If a control signal is not valid, the time of the model was changed outside of the coupling, or MuJoCo has
             reset the model.
         BoardError
@@ -219,7 +219,7 @@ class RobotDrives:
     def _begin(self) -> None:
         """Step the model, and let the boards follow its motion."""
         if abs(self.data.time - self._time) > _TIME_TOLERANCE:
-            raise CouplingError(
+            raise SimulationError(
                 f"the time of mjData is {self.data.time:g} s, that of the boards {self._time:g} s: "
                 "use reset() and restore() of the coupling instead of mj_resetData and mj_setState"
             )
@@ -237,12 +237,12 @@ class RobotDrives:
     def _check_step(self) -> None:
         """Refuse a step that is not the next one of the boards."""
         if self.data.time < self._time:
-            raise CouplingError(
+            raise SimulationError(
                 f"MuJoCo has reset the model at {self._time:g} s: position, speed or acceleration was no number or too "
                 "large (see its warning); continue with reset() or restore()"
             )
         if abs(self.data.time - self._time - self.step_ns * 1e-9) > _TIME_TOLERANCE:
-            raise CouplingError(
+            raise SimulationError(
                 f"the time step of the model changed from {self.step_ns * 1e-9:g} to {self.model.opt.timestep:g} s; "
                 "make new RobotDrives for it"
             )
@@ -256,7 +256,7 @@ class RobotDrives:
             if drive.mode is None:
                 continue
             if not math.isfinite(signal):
-                raise CouplingError(f"actuator '{drive.actuator}': the control signal is {signal}")
+                raise SimulationError(f"actuator '{drive.actuator}': the control signal is {signal}")
             if (drive.mode in _ANGLES and math.isnan(zero)) or drive.mode == "TRAJECTORY":
                 continue
             if drive.mode == "POSITION":
@@ -266,7 +266,7 @@ class RobotDrives:
             try:
                 write_axis(board, _VARIABLES[drive.mode], axis, signal)
             except ValueError as error:
-                raise CouplingError(f"actuator '{drive.actuator}': {error}") from None
+                raise SimulationError(f"actuator '{drive.actuator}': {error}") from None
         if round(self._time * 1e9) // self.step_ns % self._point_steps == 0:
             self._send_points(signals)
 
@@ -292,18 +292,18 @@ class RobotDrives:
         self._numbers = np.array([zero, signals, last, ticks])
 
     def _write_points(self, board: Board, points: Sequence[TimedPoint]) -> None:
-        """Send points; raise `CouplingError` if the board has refused earlier ones."""
+        """Send points; raise `SimulationError` if the board has refused earlier ones."""
         names = [drive.actuator for drive, (owner, _) in zip(self.drives, self._where, strict=True) if owner is board]
         where = f"actuator {' or '.join(map(repr, names))}"
         reason = board.catalogue.label("point_refusal_t", board.read_words("point_refusal")[0])
         if reason not in ("NONE", "MODE"):  # MODE: the axis opens its brake, or stops
-            raise CouplingError(
+            raise SimulationError(
                 f"{where}: the firmware refuses the path ({reason}); let ctrl change smoothly, or use mode POSITION"
             )
         try:
             board.write_words("cmd.points", encode_points(board.catalogue, points))
         except ValueError as error:
-            raise CouplingError(f"{where}: {error}") from None
+            raise SimulationError(f"{where}: {error}") from None
 
     def wait(self, seconds: float) -> None:
         """Step for at least some simulated time [s]."""
