@@ -372,7 +372,7 @@ def test_parameters_and_plant_are_passed_and_ctrl_c_ends_all_processes(started: 
     assert "servo_bridge: connected" in up.text()
     assert "/servo/axis1/position" in up.text()
     children = descendants(up.mark)
-    for name, argument in (("virtual_board", str(plant)), ("servo_twin", f'plant:="{plant}"')):
+    for name, argument in (("virtual_board", f"--plant={plant}"), ("servo_twin", f'plant:="{plant}"')):
         assert argument in children[up.child(f"bin/{name}\0")].split("\0")
     get = [str(executable("servo-command")), "get", "param.features[0]", "param.host_timeout"]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
