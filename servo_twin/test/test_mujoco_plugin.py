@@ -461,23 +461,33 @@ def test_load_that_turns_the_shaft_before_the_search_is_named(warnings: list[str
 
 
 def test_boards_do_not_share_inputs() -> None:
-    def model(first: int, names: str = "supply.u_source axis1.fault.heat") -> Any:
+    """The third of three boards, without an actuator, has inputs behind those of the second one."""
+
+    def entries(first: str, names: str) -> str:
+        return f'<config key="inputs" value="{names}"/><config key="userdata" value="{first}"/>'
+
+    def model(first: str, names: str = "supply.u_source axis1.fault.heat", third: str = "") -> Any:
         inputs = '<config key="inputs" value="supply.u_source axis1.fault.heat"/>'
-        other = f'<config key="inputs" value="{names}"/><config key="userdata" value="{first}"/>'
         text = arm(axis1="shoulder", axis2="", config=inputs).replace("<extension>", '<size nuserdata="9"/><extension>')
-        text = text.replace("</instance>", f'</instance><instance name="second">{other}</instance>', 1)
+        others = f'<instance name="second">{entries(first, names)}</instance>{third}'
+        text = text.replace("</instance>", f"</instance>{others}", 1)
         elbow = 'joint="elbow" gear="100.0" plugin="servo.board" instance='
         text = text.replace(f'armature="{PLANT.axes[1].inertia * GEAR**2}"', 'armature="0.2"')
         return mujoco.MjModel.from_xml_string(text.replace(f'{elbow}"board"', f'{elbow}"second"'))
 
     message = (
         "'inputs': the inputs are entries 0 .. 1 of mjData.userdata, those of instance 'second' 1 .. 2; "
-        'write <config key="userdata" value="3"/> and <size nuserdata="5"/>'
+        'write <config key="userdata" value="{}"/> and <size nuserdata="{}"/>'
     )
-    with pytest.raises(ValueError, match=re.escape(message)):
-        model(1)
-    model(2)
-    model(1, "")
+    with pytest.raises(ValueError, match=re.escape(message.format(3, 5))):
+        model("1")
+    third = f'<instance name="third">{entries("3", "supply.u_source")}</instance>'
+    with pytest.raises(ValueError, match=re.escape(message.format(4, 6))):
+        model("1", third=third)
+    with pytest.raises(ValueError, match="'userdata': not the index of an entry"):
+        model("x")
+    model("2")
+    model("1", "")
 
 
 @pytest.mark.parametrize(

@@ -208,30 +208,41 @@ static long first_of(const mjModel *m, int instance)
     return (*end == '\0' && index >= 0 && index <= INT32_MAX) ? index : -1;
 }
 
+/* Number of the inputs of another instance, and its first entry of mjData.userdata. 0: none, or what it refuses itself. */
+static int other_inputs(const mjModel *m, int instance, int other, long *first)
+{
+    names_t names;
+    const char *where;
+    *first = first_of(m, other);
+    const bool is = other != instance && m->plugin[other] == m->plugin[instance] && *first >= 0 &&
+                    take_names(config(m, other, "inputs"), &names, &where) == NULL;
+    return is ? names.count : 0;
+}
+
 /* Two boards with one entry of mjData.userdata would change together. NULL, or which instance has an entry already. */
 static const char *refuse_shared(const mjModel *m, int instance, model_t *model)
 {
     const long first = model->userdata;
     const long end = first + model->inputs.count;
+    int shares = -1;
+    long unused = 0; /* the first entry behind those of all others */
+    long other;
     for (int k = 0; k < m->nplugin; k++) {
-        names_t names;
-        const char *where;
-        if (k != instance && m->plugin[k] == m->plugin[instance] &&
-            take_names(config(m, k, "inputs"), &names, &where) == NULL) {
-            const long other = first_of(m, k);
-            if (names.count > 0 && other < end && first < other + names.count) {
-                const char *name = mj_id2name(m, mjOBJ_PLUGIN, k);
-                (void)snprintf(
-                    model->text, sizeof model->text,
-                    "the inputs are entries %ld .. %ld of mjData.userdata, those of instance '%s' %ld .. %ld; "
-                    "write <config key=\"userdata\" value=\"%ld\"/> and <size nuserdata=\"%ld\"/>",
-                    first, end - 1, (name != NULL) ? name : "", other, other + names.count - 1, other + names.count,
-                    other + names.count + model->inputs.count);
-                return model->text;
-            }
-        }
+        const int count = other_inputs(m, instance, k, &other);
+        shares = (count > 0 && other < end && first < other + count) ? k : shares;
+        unused = (count > 0 && other + count > unused) ? other + count : unused;
     }
-    return NULL;
+    if (shares < 0) {
+        return NULL;
+    }
+    const int count = other_inputs(m, instance, shares, &other);
+    const char *name = mj_id2name(m, mjOBJ_PLUGIN, shares);
+    (void)snprintf(model->text, sizeof model->text,
+                   "the inputs are entries %ld .. %ld of mjData.userdata, those of instance '%s' %ld .. %ld; "
+                   "write <config key=\"userdata\" value=\"%ld\"/> and <size nuserdata=\"%ld\"/>",
+                   first, end - 1, (name != NULL) ? name : "", other, other + count - 1, unused,
+                   unused + model->inputs.count);
+    return model->text;
 }
 
 /* Quantities that change during the run. */
