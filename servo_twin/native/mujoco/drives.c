@@ -12,7 +12,8 @@
 #define JUMP_MIN 0.05 /* that the firmware bears as a motion; it reported OVER_CURRENT after 0.3 within 0.5 ms [rad] */
 #define RK4_SPEED 1000.0 /* more than the reversal of a motor at its highest speed, 419 rad/s [rad/s] */
 #define CALIB_MAX 1.0 /* of a shaft at rest: 0.1 [s] */
-#define ALIGN_MAX 3.0 /* of a shaft with friction: at most 2 [s] */
+#define SEARCH_SPEED                                                                                                   \
+    10.0 /* of a shaft that does not rest: 140 .. 250 at such faults, 0.6 of a hanging arm with an open phase [rad/s] */
 
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega)
 {
@@ -206,43 +207,47 @@ void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_
     of->too_fast = (problem != NULL) ? 1 : 0;
 }
 
-/* A model without sensors of the board shows nothing else of a fault. */
-static void watch_faults(const drive_t *drive, coupled_axis_t *of, const exported_t *board)
+/* A model without sensors of the board shows nothing else of a fault. The firmware ends a search of a rotor that does not come to
+ * rest by several of them. */
+static void watch_faults(const mjModel *m, const mjData *d, const drive_t *drive, coupled_axis_t *of,
+                         const exported_t *board)
 {
     const uint64_t faults = (uint64_t)exported_number(board, drive->faults);
+    double theta;
+    double omega;
+    drive_motion(m, d, drive->actuator, &theta, &omega);
     for (unsigned bit = 0; bit < 32; bit++) {
-        if (((faults & ~of->faults) >> bit & 1u) != 0) {
+        if (((faults & ~of->faults) >> bit & 1u) == 0) {
+            continue;
+        }
+        if (of->substate == SUBSTATE_ALIGN && fabs(omega) > SEARCH_SPEED) {
+            mju_warning(
+                PLUGIN_NAME
+                ": actuator %d: fault %s in the rotor search, while the shaft turned at %g rad/s; if it did not "
+                "come to rest, give the joint the friction of the motor (frictionloss: friction in the plant "
+                "times gear), or take a smaller time step",
+                drive->actuator, exported_fault_name(bit), omega);
+        } else {
             mju_warning(PLUGIN_NAME ": actuator %d: fault %s", drive->actuator, exported_fault_name(bit));
         }
     }
     of->faults = faults;
 }
 
-/* The rotor search waits for a shaft at rest, without end. */
-static void watch_search(const mjModel *m, const mjData *d, const drive_t *drive, coupled_axis_t *of, double substate)
+/* The firmware waits for a shaft at rest, without end. */
+static void watch_calibration(const mjModel *m, const mjData *d, const drive_t *drive, coupled_axis_t *of)
 {
-    const double longest = (substate == SUBSTATE_CALIB) ? CALIB_MAX : ALIGN_MAX;
-    const double before = (of->substate == substate) ? of->waited : 0.0;
-    of->substate = substate;
-    of->waited = before + m->opt.timestep;
-    if (before >= longest || of->waited < longest) {
-        return;
-    }
-    double theta;
-    double omega;
-    drive_motion(m, d, drive->actuator, &theta, &omega);
-    if (substate == SUBSTATE_CALIB) {
+    const double before = of->waited;
+    of->waited = (of->substate == SUBSTATE_CALIB) ? before + m->opt.timestep : 0.0;
+    if (before < CALIB_MAX && of->waited >= CALIB_MAX) {
+        double theta;
+        double omega;
+        drive_motion(m, d, drive->actuator, &theta, &omega);
         mju_warning(
             PLUGIN_NAME
             ": actuator %d: the firmware waits in CALIB until the shaft rests, which turns at %g rad/s; hold the "
             "load until the rotor is found, for example by a holding brake",
             drive->actuator, omega);
-    } else if (substate == SUBSTATE_ALIGN) {
-        mju_warning(
-            PLUGIN_NAME
-            ": actuator %d: the rotor is not found within %g s, because the shaft does not come to rest; give the joint "
-            "the friction of the motor (frictionloss: friction in the plant times gear), or take a smaller time step",
-            drive->actuator, ALIGN_MAX);
     }
 }
 
@@ -257,9 +262,10 @@ void drive_command(const mjModel *m, const mjData *d, exported_t *board, const d
                                : drive->mode);
         (void)exported_set(board, drive->enable, 1.0);
     }
-    watch_faults(drive, of, board);
-    watch_search(m, d, drive, of, (state == STATE_RUN) ? exported_number(board, drive->substate) : SUBSTATE_SPIN);
-    if (state != STATE_RUN || exported_number(board, drive->substate) != SUBSTATE_SPIN) {
+    watch_faults(m, d, drive, of, board);
+    of->substate = (state == STATE_RUN) ? exported_number(board, drive->substate) : SUBSTATE_FREEWHEEL;
+    watch_calibration(m, d, drive, of);
+    if (of->substate != SUBSTATE_SPIN) {
         of->path = PATH_NONE;
         return;
     }

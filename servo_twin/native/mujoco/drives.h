@@ -37,7 +37,8 @@ enum {
 typedef struct {
     double torque; /* for the next step: mean of the air gap in the last one, and of the holding brake [N m] */
     double zero; /* control signal minus set-point of the firmware, for angles [rad]; NaN: not in RUN/SPIN yet */
-    double substate, waited; /* before SPIN, and time in it [s] */
+    double substate; /* in the last step; FREEWHEEL: not in RUN */
+    double waited; /* in CALIB [s] */
     uint64_t faults; /* that are active */
     double offset; /* angle of the shaft minus length of the actuator, after jumps of the joint [rad] */
     uint64_t too_fast; /* 1: the joint, for the shaft */
