@@ -349,7 +349,7 @@ def test_a_file_that_cannot_be_executed_is_refused(
 ) -> None:
     monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
     monkeypatch.setenv(ELF_VARIABLE, "")  # restored afterwards
-    assert servo_sim(["move", "--elf", str(tmp_path / "none.elf"), *options]) == 1
+    assert servo_sim(["move", "--elf", str(tmp_path / "none.elf"), *options]) == 2
     assert text in capsys.readouterr().err
 
 

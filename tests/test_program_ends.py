@@ -89,8 +89,12 @@ ELSEWHERE: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
             "tests/test_measurement_killed.py",
             "test_board_restores_itself_when_the_program_is_killed",
         )
-        for command in ("bode", "ripple", "resonance")
+        for command in ("bode", "ripple", "resonance", "autotune")
     },
+    ("servo-tool autotune", "signal"): (
+        "tests/test_autotune_on_board.py",
+        "test_ctrl_c_in_the_move_leaves_the_configuration_from_before",
+    ),
     ("servo-tool bode", "output closed"): (
         "tests/test_bode_on_board.py",
         "test_a_closed_output_leaves_the_files_and_the_board",
@@ -130,6 +134,7 @@ LIKE: Final[Mapping[tuple[str, str], tuple[str, str]]] = {
     },
     ("servo-command effort", "output closed"): ("servo-command velocity", "output closed"),
     ("servo-tool identify", "output closed"): ("servo-tool bode", "output closed"),
+    ("servo-tool autotune", "output closed"): ("servo-tool bode", "output closed"),
     **{
         (f"servo-tool {command}", event): ("servo-tool bode", event)
         for command in ("ripple", "resonance")

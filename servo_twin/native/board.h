@@ -178,7 +178,7 @@ void board_set_supply(board_t *board, double volts); /* open-circuit supply volt
 void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft locked */
 void board_obstruct_shaft(board_t *board, int axis, double below, double above); /* end stops, from here [rad] */
 
-#define BOARD_SPEED_MAX 2000.0 /* of a driven shaft, whose encoder edges are queued [rad/s] */
+#define BOARD_SPEED_MAX 2000 /* of a driven shaft, whose encoder edges are queued [rad/s] */
 
 /* Coupling with another simulator that owns the inertia of the shaft, its friction, load, end stops and cogging: all
  * of these have no effect in the board any more, and a lock or an obstruction of the shaft ends. Move the shaft from now on to angle

@@ -21,13 +21,13 @@
 
 typedef struct {
     bool on;
+    bool braked; /* the brake was closed at the last call of driven_shaft_brake */
     double time, duration; /* since the beginning of the motion; of the motion [s] */
     double theta; /* at its end [rad] */
     double omega; /* at its end [rad/s] */
     double theta_0, omega_0, half_accel,
         sixth_jerk; /* coefficients of the cubic [rad], [rad/s], [rad/s^2], [rad/s^3] */
-    bool braked; /* the brake was closed at the last call of driven_shaft_brake */
-    double held; /* then: angle at which its spring is relaxed [rad] */
+    double held; /* if braked: angle at which its spring is relaxed [rad] */
 } driven_shaft_t;
 
 static inline double driven_shaft_speed(const driven_shaft_t *s)

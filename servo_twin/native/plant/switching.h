@@ -104,6 +104,7 @@ typedef struct {
     terminal_integral_t window; /* terminal voltages at the beginning of the present window */
     double voltage[3]; /* mean terminal voltages of the last window [V] */
     switching_event_t deferred[SWITCHING_DEFERRED_MAX];
+    double unused[7]; /* the other axis begins at a cache line */
 } switching_axis_t;
 
 typedef struct {
