@@ -12,8 +12,7 @@
 #define JUMP_MIN 0.05 /* that the firmware bears as a motion; it reported OVER_CURRENT after 0.3 within 0.5 ms [rad] */
 #define RK4_SPEED 1000.0 /* more than the reversal of a motor at its highest speed, 419 rad/s [rad/s] */
 #define CALIB_MAX 1.0 /* of a shaft at rest: 0.1 [s] */
-#define SEARCH_SPEED                                                                                                   \
-    10.0 /* of a shaft that does not rest: 140 .. 250 at such faults, 0.6 of a hanging arm with an open phase [rad/s] */
+#define SEARCH_SPEED 0.1 /* above that of a resting shaft; others turned at 1 to 250 [rad/s] */
 
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega)
 {
