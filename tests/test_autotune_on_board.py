@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import pytest
 from servo_measurement.autotune import DISTANCE, Autotuned, AutotuneRequest, autotune
-from servo_measurement.recorded_move import Move
+from servo_measurement.position_move import Move
 from servo_measurement.resonance import Shaft
 from servo_msgs_py.board_port import place, reached
 from servo_msgs_py.catalogue import Catalogue

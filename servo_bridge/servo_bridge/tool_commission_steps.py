@@ -19,6 +19,7 @@ from servo_measurement.bode import measure
 from servo_measurement.bode_plan import BodeRequest
 from servo_measurement.frequency_response import Measured
 from servo_measurement.motor_values import Limits
+from servo_measurement.position_move import OVERSHOOT_MAX, TOLERANCE
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_blocks
 from servo_msgs_py.board_storage import StorageRefusedError, execute_request, success_text
@@ -44,8 +45,6 @@ CONFIG, PLANT = "servo.toml", "plant.toml"
 _CROSSOVER: Final = 0.3  # tolerance of a measured crossover against its prediction, relative
 _PHASE_MIN: Final = 30.0  # phase margin [degrees]
 _GAIN_MIN: Final = 2.0  # gain margin
-_ERROR: Final = 0.02  # largest error at rest after the move [rad]
-_OVERSHOOT: Final = 0.1  # largest overshoot of the move, relative
 
 
 class StepError(Exception):
@@ -226,8 +225,8 @@ def _move(subject: Subject) -> Done:
         settling = math.nan if step["settling_time"] is None else step["settling_time"]
         figures += [
             Figure(f"move {number}: settled after", settling, "s"),
-            Figure(f"move {number}: error at rest", step["error"], "rad", -_ERROR, _ERROR),
-            Figure(f"move {number}: overshoot", step["overshoot"], "rad", 0.0, _OVERSHOOT * distance),
+            Figure(f"move {number}: error at rest", step["error"], "rad", -TOLERANCE, TOLERANCE),
+            Figure(f"move {number}: overshoot", step["overshoot"], "rad", 0.0, OVERSHOOT_MAX * distance),
             Figure(f"move {number}: largest error", step["tracking_max"], "rad"),
         ]
     # The plant of a virtual board is in the recording; that of a real one is what was identified.

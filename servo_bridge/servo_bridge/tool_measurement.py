@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
 from servo_measurement.bode_plan import GAIN_MIN
+from servo_measurement.options import add_range
 from servo_msgs_py.quantity import Quantity
 from servo_msgs_py.runtime.program import complain, deferred
 
@@ -23,13 +23,7 @@ _Result = TypeVar("_Result")
 
 def add_loop_options(command: argparse.ArgumentParser, gain: float | None, default: str) -> None:
     """Options of a command that measures a closed loop; `gain`: default of --gain, and its text."""
-    command.add_argument(
-        "--range",
-        type=argument.positive,
-        default=math.inf,
-        metavar="RAD",
-        help="largest angle of the shaft in each direction",
-    )
+    add_range(command)
     command.add_argument(
         "--gain",
         type=_part,

@@ -23,7 +23,7 @@ from servo_tuning.errors import Problem, Table, exactly, lower
 from servo_tuning.findings import GAIN_MIN
 from servo_tuning.linear import Margins
 from servo_tuning.remedies import with_value
-from servo_tuning.robust import PHASE_MIN, ShaftModel, robust, stable
+from servo_tuning.robust import OBSERVED, PHASE_MIN, ShaftModel, robust, stable
 from servo_tuning.tuned import Tuned, tuned_axis
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
@@ -31,8 +31,8 @@ from servo_measurement.bode import Bode
 from servo_measurement.bode import measure as measure_open_loop
 from servo_measurement.bode_plan import BodeRequest, free_travel
 from servo_measurement.dead_time import rounded_down, rounded_up
+from servo_measurement.position_move import OVERSHOOT_MAX, TOLERANCE, Move, move_and_back
 from servo_measurement.prediction import Candidate, is_observed
-from servo_measurement.recorded_move import TOLERANCE, Move, move_and_back
 from servo_measurement.resonance import GROUPS, Resonance, ResonanceRequest, Shaft, fitted
 from servo_measurement.resonance import measure as measure_resonance
 from servo_measurement.running_axis import RunningAxis, with_observer
@@ -45,12 +45,9 @@ _BEYOND: Final = 1.5  # highest measured frequency over that of the resonance
 _BELOW: Final = 2.5  # predicted crossover over the lowest measured frequency
 _PHASE_ERROR: Final = 3.0  # of a measured margin [degrees]
 _GAIN_ERROR: Final = 0.1  # of a measured margin, relative
-_OVERSHOOT: Final = 0.1  # largest one of the move, relative
 _ERROR_MAX: Final = 5.0  # root mean square of the difference of measured loop and model, over its standard deviation
 _TOLERANCE_MAX: Final = 0.05  # of the move
-_OBSERVED: Final = "features.speed_observer"  # entry of servo.toml
 _ROOM: Final = 1.5  # of a tolerance that is named: the next move differs
-_INSTANT: Final = 1e-6  # of a wait that only sends what is due [s]
 
 TOLERANCE_OPTION: Final = "--tolerance"
 """Option of the commands with another tolerance."""
@@ -88,7 +85,7 @@ class Autotuned:
         """The shaft, from the measurement with a part of the gains."""
         return self.resonance.shaft.model
 
-    @property
+    @cached_property
     def measured(self) -> Margins:
         """Margins of the measured speed loop.
 
@@ -126,7 +123,7 @@ class Autotuned:
             else:
                 yield Problem(f"{fact}: {reason}", remedies=(exactly(TOLERANCE_OPTION, needed),))
         overshoot = max(move.figures.overshoot for move in self.moves)
-        if overshoot > max(_OVERSHOOT * self.moves[0].distance, tolerance):
+        if overshoot > max(OVERSHOOT_MAX * self.moves[0].distance, tolerance):
             yield Problem(f"a move overshoots by {overshoot:.3g} rad", remedies=(lower("limits.acceleration"),))
 
 
@@ -165,7 +162,7 @@ def autotune(
     """
     axis, name = request.axis, axis_name(request.axis)
     _refuse(access, axis, tuned_axis(base, axis))
-    before = tuned_axis(with_value(base, f"{name}.{_OBSERVED}", is_observed(access, axis)), axis)
+    before = tuned_axis(with_value(base, f"{name}.{OBSERVED}", is_observed(access, axis)), axis)
     rig, travel = RunningAxis(access, axis, report), min(request.travel_max, free_travel(access, axis))
     distance = min(DISTANCE, _RANGE_USE * travel)
     if request.tolerance > _TOLERANCE_MAX * distance:
@@ -179,7 +176,7 @@ def autotune(
         progress=progress,
     )
     shaft, possible = resonance.shaft.model, resonance.shaft.possible
-    table = robust(base, axis, shaft, possible, request.phase_min, lambda: access.wait(_INSTANT))
+    table = robust(base, axis, shaft, possible, request.phase_min, rig.attend)
     after = tuned_axis(table, axis)
     moves_before: list[Move] = []
     if all(stable(one, before) for one in possible):

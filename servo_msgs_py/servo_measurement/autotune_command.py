@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +20,8 @@ from servo_tuning.robust import PHASE_MIN, PHASE_OPTION, PHASES_MIN
 from servo_measurement.access import MeasurementError
 from servo_measurement.autotune import TOLERANCE_OPTION, Autotuned, AutotuneRequest
 from servo_measurement.autotune_report import CONFIG, PICTURE, as_dict, draw, text, write_configuration
-from servo_measurement.recorded_move import TOLERANCE
+from servo_measurement.options import add_range
+from servo_measurement.position_move import TOLERANCE
 from servo_msgs_py import argument
 
 ABOUT: Final = """\
@@ -41,13 +41,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--speed", type=argument.positive, metavar="RAD/S", help="speed of the measurements (default: as of bode)"
     )
-    command.add_argument(
-        "--range",
-        type=argument.positive,
-        default=math.inf,
-        metavar="RAD",
-        help="largest angle of the shaft in each direction",
-    )
+    add_range(command)
     command.add_argument(
         PHASE_OPTION,
         type=_phase,

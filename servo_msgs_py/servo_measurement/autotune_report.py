@@ -19,7 +19,7 @@ from servo_tuning.tuned import Tuned
 
 from servo_measurement.autotune import Autotuned
 from servo_measurement.bode_report import frequency_axis
-from servo_measurement.recorded_move import Move
+from servo_measurement.position_move import Move
 
 CONFIG, PICTURE = "servo.toml", "autotune.png"
 """Files of a result."""

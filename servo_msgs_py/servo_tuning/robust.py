@@ -33,8 +33,11 @@ PHASES_MIN: Final = (40.0, 35.0, 30.0, 25.0, 20.0)
 PHASE_OPTION: Final = "--phase-margin"
 """Option of the command with another phase margin."""
 
+OBSERVED: Final = "features.speed_observer"
+"""Entry of an axis whose speed is that of the observer."""
+
 _SPEED, _POSITION = "control.speed_bandwidth", "control.position_gain"
-_OBSERVED, _OBSERVER = "features.speed_observer", "control.observer_bandwidth"
+_OBSERVER: Final = "control.observer_bandwidth"
 _OBSERVERS: Final = (2.0, 1.0, 0.5, 0.25)  # bandwidths of observers that are tried, over that of the file
 _OBSERVER_BETTER: Final = 1.3  # smallest ratio of the speed bandwidths with and without an observer
 _LOWEST: Final = 2.0  # speed bandwidth of a servo [Hz]
@@ -60,12 +63,12 @@ def stable(shaft: ShaftModel, design: Tuned) -> bool:
     return spectral_radius(loops.speed_alone) < 1.0 and spectral_radius(loops.position.a) < 1.0
 
 
-def robust_speed(loops: ShaftLoops, phase_min: float) -> bool:
+def _robust_speed(loops: ShaftLoops, phase_min: float) -> bool:
     """Whether the speed loop is stable with its margins; `phase_min` [degrees]."""
     return _stable_with_gain(loops, GAIN_MIN) and _keeps(loops.speed_margins(), phase_min)
 
 
-def robust_position(loops: ShaftLoops, phase_min: float) -> bool:
+def _robust_position(loops: ShaftLoops, phase_min: float) -> bool:
     """Whether the position loop is stable with its margins; `phase_min` [degrees]."""
     return spectral_radius(loops.position.a) < 1.0 and _keeps(loops.position_margins(), phase_min)
 
@@ -153,10 +156,10 @@ def robust(
 
 def _estimates(base: Table, name: str) -> Iterator[Table]:
     """The configuration with the M/T method, and with observers of the speed."""
-    yield with_value(base, f"{name}.{_OBSERVED}", False)
+    yield with_value(base, f"{name}.{OBSERVED}", False)
     bandwidth = float(str(value_in(base, f"{name}.{_OBSERVER}")))
     for part in _OBSERVERS:
-        yield with_value(with_value(base, f"{name}.{_OBSERVED}", True), f"{name}.{_OBSERVER}", part * bandwidth)
+        yield with_value(with_value(base, f"{name}.{OBSERVED}", True), f"{name}.{_OBSERVER}", part * bandwidth)
 
 
 def _best(searches: Sequence[_Search], phase_min: float) -> Table | None:
@@ -218,11 +221,11 @@ class _Search:
             return with_value(table, f"{name}.{_POSITION}", _rounded(of_position * position))
 
         # the position loop follows the speed loop, else it would be refused
-        part = self._first(steps, lambda step: with_parts(step, step), partial(robust_speed, phase_min=phase_min))
+        part = self._first(steps, lambda step: with_parts(step, step), partial(_robust_speed, phase_min=phase_min))
         if part is None:
             return None
         slower = [part * step for step in parts]
-        keeps = partial(robust_position, phase_min=phase_min)
+        keeps = partial(_robust_position, phase_min=phase_min)
         of_position = self._first(slower, lambda step: with_parts(part, step), keeps)
         return None if of_position is None else with_parts(part, of_position)
 

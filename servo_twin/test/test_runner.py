@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 from servo_twin.board import SimulationError
-from servo_twin.runner import HERE, RunError, Runner, TrialError, WorkerLostError, run_in_order
+from servo_twin.runner import HERE, RunError, Runner, TrialError, WorkerLostError, run_in_order, run_to_file
 
 NUMBERS = range(40)
 
@@ -78,6 +78,17 @@ class Raises:
 def test_results_do_not_depend_on_the_number_of_workers(workers: int) -> None:
     results = run_in_order(Runner(workers), Square(), NUMBERS, "squares")
     assert results == [number * number for number in NUMBERS]
+
+
+def test_file_has_the_finished_trials_in_their_order(tmp_path: Path) -> None:
+    """Its folder is created."""
+    path = tmp_path / "new" / "trials.json"
+    found, text = run_to_file(
+        Runner(workers=2), Square(), 5, "squares", path, lambda k, square: {"of": k, "is": square}
+    )
+    assert found == [(k, k * k) for k in range(5)]
+    assert json.loads(text) == [{"of": k, "is": k * k} for k in range(5)]
+    assert path.read_text(encoding="utf-8") == text
 
 
 def test_workers_may_outnumber_the_trials() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
 import random
 from collections.abc import Sequence
@@ -16,12 +15,11 @@ from servo_measurement.access import FAULT, OSCILLATION, MeasurementError
 from servo_measurement.autotune import Autotuned, AutotuneRequest
 from servo_measurement.autotune import autotune as tune
 from servo_measurement.autotune_command import ABOUT, add_options, configuration, finish, request_of
-from servo_measurement.recorded_move import move_and_back
+from servo_measurement.position_move import move_and_back
 from servo_measurement.resonance import CHANGE
 from servo_measurement.running_axis import RunningAxis
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.output_file import write_file
 from servo_msgs_py.runtime.program import complain
 from servo_tuning.errors import ConfigError, Table
 
@@ -31,7 +29,7 @@ from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.identification.session import BOOT
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
-from servo_twin.runner import Runner
+from servo_twin.runner import Runner, run_to_file
 from servo_twin.servo_config import ServoConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.sprung_load import SprungLoad
@@ -169,14 +167,11 @@ def _unstable(error: Exception) -> str:
 
 
 def _trials(args: argparse.Namespace, work: Trials) -> int:
-    args.out.mkdir(parents=True, exist_ok=True)
-    found: list[tuple[int, Trial]] = []
-    text = ""
-    for one in Runner.of(args).run(work, range(args.trials), "autotune, loads"):
-        found = sorted([*found, one], key=lambda pair: pair[0])
-        content = [{"number": number, **dataclasses.asdict(trial), "part": trial.part} for number, trial in found]
-        text = json.dumps(content, indent=2) + "\n"
-        write_file(args.out / "trials.json", text)  # after every trial
+    def entry_of(number: int, trial: Trial) -> dict[str, object]:
+        return {"number": number, **dataclasses.asdict(trial), "part": trial.part}
+
+    file = args.out / "trials.json"
+    found, text = run_to_file(Runner.of(args), work, args.trials, "autotune, loads", file, entry_of)
     print(text if args.json else "\n".join(summary(found)))
     return 1 if any(trial.unstable for _, trial in found) else 0
 

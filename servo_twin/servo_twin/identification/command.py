@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
-import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +15,6 @@ from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_values import Limits
 from servo_msgs_py.argument import ParagraphFormatter
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.output_file import write_file
 from servo_tuning.reading import SERVO_TOML
 
 from servo_msgs_py import argument
@@ -27,7 +25,7 @@ from servo_twin.identification.session import Identified, identified, measure_vi
 from servo_twin.identification.trials import Trial, Trials, random_case, summary
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
-from servo_twin.runner import Runner
+from servo_twin.runner import Runner, run_to_file
 from servo_twin.servo_config import servo_table
 
 _HELP: Final = """\
@@ -192,13 +190,11 @@ def _write(
 def _trials(args: argparse.Namespace, plant: PlantConfig, base: Mapping[str, Any]) -> int:
     level = chosen_level(args.level, default=FAST_LEVEL)
     work = Trials(plant, base, args.axis - 1, _limits(args, plant), level, args.seed, not args.no_refinement)
-    args.out.mkdir(parents=True, exist_ok=True)
-    found: list[tuple[int, Trial]] = []
-    text = ""
-    for one in Runner.of(args).run(work, range(args.trials), "identify, motors"):
-        found = sorted([*found, one], key=lambda pair: pair[0])
-        content = [{"motor": number, **dataclasses.asdict(trial)} for number, trial in found]
-        text = json.dumps(content, indent=2, default=float) + "\n"
-        write_file(args.out / "trials.json", text)  # after every trial
+
+    def entry_of(number: int, trial: Trial) -> dict[str, object]:
+        return {"motor": number, **dataclasses.asdict(trial)}
+
+    file = args.out / "trials.json"
+    found, text = run_to_file(Runner.of(args), work, args.trials, "identify, motors", file, entry_of)
     print(text if args.json else "\n".join(summary(found)))
     return 1 if any(trial.false_success for _, trial in found) else 0

@@ -4,7 +4,7 @@ A `Work` is a picklable object with numbered trials. A result depends on the wor
 of workers or the order of execution.
 """
 
-from servo_twin.runner.run import HERE, Runner, run_in_order
+from servo_twin.runner.run import HERE, Runner, run_in_order, run_to_file
 from servo_twin.runner.work import RunError, TrialError, Work, WorkerLostError
 
-__all__ = ["HERE", "RunError", "Runner", "TrialError", "Work", "WorkerLostError", "run_in_order"]
+__all__ = ["HERE", "RunError", "Runner", "TrialError", "Work", "WorkerLostError", "run_in_order", "run_to_file"]

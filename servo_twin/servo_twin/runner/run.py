@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, TypeVar
 
+from servo_msgs_py.output_file import write_file
 from tqdm import tqdm
 
 from servo_msgs_py import argument
@@ -106,3 +109,39 @@ def run_in_order(
         if line_of is not None:
             tqdm.write(f"{len(results)}/{len(numbers)}  {line_of(result)}", file=sys.stderr)
     return [results[number] for number in numbers]
+
+
+def run_to_file(
+    runner: Runner,
+    work: Work[Result],
+    count: int,
+    label: str,
+    path: Path,
+    entry_of: Callable[[int, Result], Mapping[str, object]],
+) -> tuple[list[tuple[int, Result]], str]:
+    """Run the first trials; a JSON file has the finished ones after each of them.
+
+    Parameters
+    ----------
+    runner, work, label
+        As of `Runner.run`.
+    count : int
+        Number of trials.
+    path : Path
+        The file; its folder is created.
+    entry_of : callable
+        Entry of the file for a trial, from its number and result.
+
+    Returns
+    -------
+    tuple
+        Numbers and results in the order of the numbers, and the text of the file.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    found: list[tuple[int, Result]] = []
+    text = ""
+    for one in runner.run(work, range(count), label):
+        found = sorted([*found, one], key=lambda pair: pair[0])
+        text = json.dumps([entry_of(*pair) for pair in found], indent=2, default=float) + "\n"
+        write_file(path, text)
+    return found, text

@@ -19,7 +19,10 @@ from servo_measurement.step_response import StepFigures, measure_step
 TOLERANCE: Final = 0.02
 """Largest distance to the target of a shaft that has arrived, unless another one is wanted [rad]."""
 
-COLUMNS: Final = ("position", "position_ref", "i_q_ref")
+OVERSHOOT_MAX: Final = 0.1
+"""Largest overshoot of a move, relative."""
+
+COLUMNS: Final = ("position", "position_ref")
 
 HOLD: Final = 0.1
 """Time for which it has to have arrived [s]."""
@@ -43,12 +46,12 @@ class Move:
     @property
     def start(self) -> float:
         """Time at which the path begins, in the trace [s]."""
-        return float(self.trace.time[_moving(self.trace)[0]])
+        return float(self.trace.time[_changes(self.trace)[0]])
 
     @property
     def end(self) -> float:
         """Time at which the path ends, in the trace [s]."""
-        return float(self.trace.time[_moving(self.trace)[-1]])
+        return float(self.trace.time[_changes(self.trace)[-1] + 1])
 
     @property
     def distance(self) -> float:
@@ -67,10 +70,9 @@ class Move:
         return None if settled is None else max(self.start + settled - self.end, 0.0)
 
 
-def _moving(trace: Trace) -> NDArray[np.intp]:
-    """Samples before which or after which the set-point changes."""
-    (changes,) = np.nonzero(np.diff(trace["position_ref"]))
-    return np.append(changes, changes[-1] + 1)
+def _changes(trace: Trace) -> NDArray[np.intp]:
+    """Samples after which the set-point changes."""
+    return np.nonzero(np.diff(trace["position_ref"]))[0]
 
 
 def move_and_back(
@@ -122,7 +124,7 @@ def _recorded(rig: RunningAxis, target: float, tolerance: float, seconds: float,
     begin = rig.value("position_ref")
     while True:
         trace = _trace(rig, target, seconds)
-        changes = np.nonzero(np.diff(trace["position_ref"]))[0]
+        changes = _changes(trace)
         if changes.size and trace.time[-1] - trace.time[changes[-1] + 1] >= after:
             break
         if not changes.size:
