@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -81,13 +82,14 @@ def test_first_violation_of_all_joints_is_reported() -> None:
     limits = [Limits(velocity_max=0.5), Limits(velocity_max=1.0)]
     with pytest.raises(
         TrajectoryError,
-        match=r"^velocity of axis2 is above its limit 1 rad/s at 0\.\d+ s with a peak of 1\.\d+ rad/s; use more time",
+        match=r"^velocity of axis2 is above its limit 1 rad/s at 0\.\d+ s with a peak of 1\.\d+ rad/s; "
+        r"use \d\.?\d* s or more for the motion instead of 2 s, or change the limit$",
     ):
         require(path, limits)
     require(path, [Limits(), Limits()])
     low = first_violation(path, [Limits(), Limits(velocity_max=1.0, position_min=0.5, position_max=3.0)])
     assert low is not None
-    assert str(low).startswith("position of axis2 is below its limit 0.5 rad at 0 s with a peak of 0 rad; move the")
+    assert str(low) == "position of axis2 is below its limit 0.5 rad at 0 s with a peak of 0 rad"
 
 
 def test_friction_at_a_reversal_and_at_rest_is_included() -> None:
@@ -141,3 +143,34 @@ def test_a_path_from_outside_of_the_position_limits_may_return_but_not_leave_aga
         with pytest.raises(TrajectoryError, match="position of axis1 is above its limit"):
             require(through(*positions), limits)
     assert first_violation(through(3.0, 2.0, 0.0), limits) is not None
+
+
+@given(
+    times=st.lists(st.floats(0.01, 2.0), min_size=2, max_size=5),
+    goals=st.lists(st.floats(-10.0, 10.0), min_size=5, max_size=5),
+    limits=st.builds(
+        Limits,
+        velocity_max=st.floats(0.01, 100.0),
+        acceleration_max=st.floats(0.01, 100.0),
+        torque_max=st.floats(0.3, 10.0),
+        inertia=st.floats(0.0, 1.0),
+        viscous=st.floats(0.0, 1.0),
+        coulomb=st.floats(0.0, 0.2),
+    ),
+)
+def test_a_path_in_the_time_of_the_remedy_is_accepted(times: list[float], goals: list[float], limits: Limits) -> None:
+    knots = np.cumsum([0.0, *times])
+    positions = [[x] for x in (0.0, *goals)][: len(knots)]
+    path = path_through(Waypoints.of(["axis1"], knots, positions))
+    try:
+        require(path, [limits])
+    except TrajectoryError as error:
+        time = re.search(r"use (\S+) s or more for the motion instead of", str(error))
+        assert time is not None
+        require(path.in_time(float(time[1])), [limits])
+
+
+def test_effort_that_no_time_reduces_is_named() -> None:
+    path = path_through(Waypoints.of(["axis1"], [0, 1], [[0], [1]], efforts=[[2], [2]]))
+    with pytest.raises(TrajectoryError, match=r"^torque .*; use less effort, or change the limit$"):
+        require(path, [Limits(torque_max=1.0)])

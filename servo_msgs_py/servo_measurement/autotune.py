@@ -19,6 +19,7 @@ import numpy as np
 from servo_msgs_py.axis_config_transfer import read_block, send_configuration
 from servo_msgs_py.board_port import place
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.rounding import rounded_down, rounded_up
 from servo_tuning.errors import Problem, Table, exactly, lower
 from servo_tuning.findings import GAIN_MIN
 from servo_tuning.linear import Margins
@@ -30,7 +31,6 @@ from servo_measurement.access import BoardAccess, MeasurementError, refuse_fault
 from servo_measurement.bode import Bode
 from servo_measurement.bode import measure as measure_open_loop
 from servo_measurement.bode_plan import BodeRequest, free_travel
-from servo_measurement.dead_time import rounded_down, rounded_up
 from servo_measurement.position_move import OVERSHOOT_MAX, TOLERANCE, Move, move_and_back
 from servo_measurement.prediction import Candidate, is_observed
 from servo_measurement.resonance import GROUPS, Resonance, ResonanceRequest, Shaft, fitted

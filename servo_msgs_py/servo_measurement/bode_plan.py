@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.rounding import rounded_down, rounded_up
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import TICK
 
 from servo_measurement.access import BoardAccess, MeasurementError, step_of
-from servo_measurement.dead_time import rounded_down, rounded_up
 from servo_measurement.frequency_response import GROUPS
 from servo_measurement.prediction import Candidate, Prediction, predict
 from servo_measurement.running_axis import SETTLE

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import Final
 
+from servo_msgs_py.rounding import rounded_up
 from servo_tuning.errors import higher
 
 from servo_measurement.access import MeasurementError
@@ -80,18 +79,3 @@ def band_of(slope: float, lost_voltage: float) -> float:
         Voltage lost in a leg with full current [V].
     """
     return 1.5 * lost_voltage / slope
-
-
-def rounded_up(value: float) -> float:
-    """Value above 0 rounded up to two digits."""
-    return _two_digits(value, math.ceil)
-
-
-def rounded_down(value: float) -> float:
-    """Value above 0 rounded down to two digits."""
-    return _two_digits(value, math.floor)
-
-
-def _two_digits(value: float, whole: Callable[[float], int]) -> float:
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(round(whole(value / unit) * unit, 9))

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_configuration
+from servo_msgs_py.rounding import rounded_up
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD, TICK
 from servo_tuning.configuration import Scales
@@ -19,7 +20,6 @@ from servo_tuning.schema import BOARD_GROUPS
 
 from servo_measurement.access import Capture, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import HELD_SPEED, AxisUnderTest
-from servo_measurement.dead_time import rounded_up
 from servo_measurement.log import LoggedAccess
 from servo_measurement.motor_config import SPEED_RATIO, configured, corrected, fitted, supply
 from servo_measurement.motor_values import VOLTAGE_USE, Limits

@@ -17,6 +17,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.rounding import rounded_down, rounded_up
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD, PERIOD_NS, TICK
 from servo_tuning.errors import higher, lower, raised
@@ -24,7 +25,7 @@ from servo_tuning.rotor_search import FRICTION_USE, SALIENT_USE
 
 from servo_measurement.access import BoardAccess, MeasurementError, refuse_faults
 from servo_measurement.axis_under_test import REST_SPEED
-from servo_measurement.dead_time import BAND_MAX, LOST_MIN, band_of, check_band, rounded_down, rounded_up
+from servo_measurement.dead_time import BAND_MAX, LOST_MIN, band_of, check_band
 from servo_measurement.estimation import (
     BAND,
     FLUX_CURRENT_TIME,

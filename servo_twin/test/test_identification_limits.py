@@ -15,10 +15,10 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from servo_measurement import estimation, motor_rig, motor_test
 from servo_measurement.access import FAULT, MeasurementError
-from servo_measurement.dead_time import rounded_down, rounded_up
 from servo_measurement.motor_config import corrected, fitted
 from servo_measurement.motor_test import MotorTest
 from servo_measurement.motor_values import VOLTAGE_USE, Limits
+from servo_msgs_py.rounding import rounded_down, rounded_up
 from servo_tuning.errors import ConfigError, Remedy
 from servo_tuning.remedies import with_value
 from servo_tuning.tuned import tuned_axis

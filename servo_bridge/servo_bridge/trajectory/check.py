@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from servo_msgs_py.rounding import rounded_up
 
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import DEGREE, Path
 from servo_bridge.trajectory.polynomials import derivative, enclosure, extrema, first_above, roots
-from servo_bridge.trajectory.waypoints import Array
+from servo_bridge.trajectory.waypoints import DURATION_MAX, Array
 
 _ROUNDING = 1.0e-9
 """Tolerance of a limit for rounding, relative to the larger of the limit and 1."""
 
 _UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2", "torque": "N m"}
-_REMEDIES = {
-    "position": "move the waypoints inside the limit",
-    "velocity": "use more time for the motion",
-    "acceleration": "use more time for the motion",
-    "torque": "use more time for the motion, or less effort",
-}
 
 
 @dataclass(frozen=True)
@@ -70,7 +65,7 @@ class Violation:
         unit, side = _UNITS[self.quantity], "above" if self.value > self.limit else "below"
         return (
             f"{self.quantity} of {self.joint} is {side} its limit {self.limit:g} {unit} at {self.since_start:.6g} s "
-            f"with a peak of {self.value:g} {unit}; {_REMEDIES[self.quantity]}, or change the limit"
+            f"with a peak of {self.value:g} {unit}"
         )
 
 
@@ -96,11 +91,57 @@ def require(path: Path, limits: Sequence[Limits]) -> None:
     Raises
     ------
     TrajectoryError
-        With the text of `first_violation`.
+        With the text of `first_violation`, and what to change.
     """
     violation = first_violation(path, limits, returning=True)
     if violation is not None:
-        raise TrajectoryError(str(violation))
+        raise TrajectoryError(f"{violation}; {_remedy(path, limits, violation)}, or change the limit")
+
+
+def least(holds: Callable[[float], bool], first: float, largest: float) -> float | None:
+    """Smallest number, to a thousandth, for which a condition holds that also holds for every larger one.
+
+    Parameters
+    ----------
+    holds : callable
+        Condition.
+    first : float
+        The result, if the condition holds for it; above 0.
+    largest : float
+        No larger number is tried.
+
+    Returns
+    -------
+    float or None
+        A number for which the condition holds; None if there is none.
+    """
+    high = first
+    while not holds(high):
+        high *= 2.0
+        if high > largest:
+            return None
+    low = max(0.5 * high, first)
+    while high > 1.001 * low:
+        middle = math.sqrt(high * low)
+        if holds(middle):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def _remedy(path: Path, limits: Sequence[Limits], violation: Violation) -> str:
+    if violation.quantity == "position":
+        return "move the waypoints inside the limit"
+    dynamic = [replace(limit, position_min=-math.inf, position_max=math.inf) for limit in limits]
+
+    def holds(time: float) -> bool:
+        return first_violation(path.in_time(time), dynamic) is None
+
+    time = least(holds, path.duration, DURATION_MAX)
+    if time is None:
+        return "use less effort" if violation.quantity == "torque" else "use another path"
+    return f"use {rounded_up(time):g} s or more for the motion instead of {path.duration:g} s"
 
 
 def _violations(path: Path, axis: int, limits: Limits, returning: bool) -> Iterator[Violation]:

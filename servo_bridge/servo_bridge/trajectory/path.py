@@ -156,3 +156,9 @@ class Path:
     def shifted(self, by: float) -> Path:
         """Path shifted by a time [s]."""
         return Path(self.joints, self.times + by, self.coefficients, self.end, self.efforts)
+
+    def in_time(self, duration: float) -> Path:
+        """Path over the same positions, from the same start, in another duration [s]: all speeds change alike."""
+        factor = duration / self.duration
+        times = self.start_time + factor * (self.times - self.start_time)
+        return Path(self.joints, times, self.coefficients / factor ** np.arange(DEGREE + 1), self.end, self.efforts)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from servo_msgs_py.quantity import VALUE_MAX
 
-from servo_bridge.trajectory.check import Limits, first_violation
+from servo_bridge.trajectory.check import Limits, first_violation, least
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import DEGREE, Path, State
 from servo_bridge.trajectory.spline import path_through
@@ -227,19 +227,10 @@ def _envelope(t: Array, rise: float, duration: float) -> tuple[Array, Array, Arr
 def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits], shortest: float = _SHORTEST) -> Path:
     """Motion of the shortest duration, to a thousandth, within the limits, with a reserve of acceleration."""
     limits = [replace(limit, acceleration_max=_RESERVE * limit.acceleration_max) for limit in limits]
-    slow = shortest
-    while (violation := first_violation(in_time(slow), limits)) is not None:
-        slow *= 2.0
-        if slow > DURATION_MAX:
-            raise TrajectoryError(f"no duration is long enough: {violation}")
-    fast = max(0.5 * slow, shortest)
-    while slow > 1.001 * fast:
-        middle = math.sqrt(slow * fast)
-        if first_violation(in_time(middle), limits) is None:
-            slow = middle
-        else:
-            fast = middle
-    return in_time(slow)
+    time = least(lambda time: first_violation(in_time(time), limits) is None, shortest, DURATION_MAX)
+    if time is None:
+        raise TrajectoryError(f"no duration is long enough: {first_violation(in_time(DURATION_MAX), limits)}")
+    return in_time(time)
 
 
 def _check_positive(name: str, value: float, unit: str) -> None:

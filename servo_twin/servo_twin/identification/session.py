@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 from servo_measurement.access import MeasurementError
-from servo_measurement.dead_time import rounded_up
 from servo_measurement.estimation import BAND, estimates_of, inductance_at_low_current
 from servo_measurement.log import MeasurementLog
 from servo_measurement.motor_config import SUPPLY_END, fitted
@@ -19,6 +18,7 @@ from servo_measurement.motor_values import UNITS, VOLTAGE_USE, Limits, MotorEsti
 from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_msgs_py.rounding import rounded_up
 from servo_msgs_py.table_text import aligned
 from servo_tuning.errors import ConfigError, Problem, Remedy, Table, raised
 from servo_tuning.motor import Motor
