@@ -374,6 +374,30 @@ def test_the_program_simulates_the_board_of_the_environment(elf: bytes, tmp_path
             process.terminate()
 
 
+CONTACTS = """
+from servo_twin.board import Board
+from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.pins import fit, wired
+with Board(wired(PlantConfig.load(), home_from=-9.0, home_to=9.0)) as board:
+    board.run(0.02)
+    fit(board, "home", "enable")
+    for axis in ("axis1", "axis2"):
+        print(*(flag.name for flag in board.catalogue.active("inputs", board.read_words(f"{axis}.inputs")[0])))
+"""
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_contacts_are_read_that_were_closed_before_the_start(elf: bytes, tmp_path: Path, level: Level) -> None:
+    program = tmp_path / "servo.elf"
+    program.write_bytes(elf)
+    environment = {**os.environ, VARIABLE: "odrive36", LEVEL_VARIABLE: level}
+    if level == "registers":
+        environment[ELF_VARIABLE] = str(program)
+    command = [sys.executable, "-c", CONTACTS]
+    seen = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=120.0)
+    assert seen.stdout.splitlines() == ["HOME ENABLE"] * 2
+
+
 def test_a_save_stalls_no_loop_and_loses_no_byte(elf: bytes, board: Board) -> None:
     """Nothing is fetched from the flash while it is erased (250 ms). Another board starts with the stored values."""
     board.run(0.05)
