@@ -245,7 +245,8 @@ board_t *board_new(const board_config_t *config)
         }
         plant_pins_init(&board->pins[axis], &config->axis[axis]);
         switching_set_friction(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
-        board->closed[axis] = ~plant_pins_closed(&board->pins[axis], switching_theta(&board->plant, axis)); /* show all */
+        board->closed[axis] =
+            ~plant_pins_closed(&board->pins[axis], switching_theta(&board->plant, axis)); /* show all */
         show_contacts(board, axis);
     }
     if (config->elf != NULL) {
