@@ -26,6 +26,8 @@ from servo_twin.lockstep.samples import Activity, SampleReader, StandstillDetect
 from servo_twin.validation.experiments.plant_limits import built_in_block
 from twin_rig import CATALOGUE, COLUMNS
 
+from servo_msgs_py import topics
+
 SECOND = round(1e9 / PERIOD_NS)
 EXPIRED = sum(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name in ("EXPIRED", "STARVED"))
 
@@ -191,6 +193,19 @@ class TestSamples:
         resolution[0] = 10
         assert detector.at_rest(0)
         assert not detector.at_rest(1)
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+    @pytest.mark.parametrize("column", ["tick", "axis1.position", "axis2.state", topics.STAMP_COLUMNS[0]])
+    def test_what_is_no_raw_number_of_a_board_is_refused(self, column: str, value: float) -> None:
+        row = self.row()
+        row[0, COLUMNS.index(column)] = value
+        with pytest.raises(ValueError, match="no numbers of a board"):
+            SampleReader(CATALOGUE).rows(COLUMNS, row)
+
+    def test_quantities_may_be_unknown(self) -> None:
+        row = self.row()
+        row[0, COLUMNS.index("axis1.speed")] = np.nan
+        assert np.isnan(SampleReader(CATALOGUE).rows(COLUMNS, row)[0].values["axis1.speed"])
 
 
 class TestReplica:

@@ -64,10 +64,13 @@ class AppliedCommands:
         applied_tick, applied_count : int
             Variables of the board, uint32 and uint16.
         """
+        counted = (applied_count - self._count) & _COUNT_WRAP
+        if not counted:
+            return 0
         last = tick - ((tick - applied_tick) & _TICK_WRAP)
         # Writes that take effect in the same slow tick count once.
         known = len({command.tick for command in self.until(last)})
-        return max(((applied_count - self._count) & _COUNT_WRAP) - known, 0)
+        return max(counted - known, 0)
 
     def until(self, tick: int) -> list[AppliedCommand]:
         """Waiting commands that took effect up to `tick`, in order."""

@@ -45,6 +45,7 @@ class AxisAlignment:
         measured speed, so the final positions differ."""
         self.number = number
         self._name = axis_name(number)
+        self._positions = [f"{self._name}.{name}" for name in ROTOR_REFERENCED]
         self._expired = False  # set-point expired on either board at the last sample
         self._faulted = False  # the real axis is in FAULT and ignores an enable
         self._release()
@@ -243,20 +244,20 @@ class AxisAlignment:
         if sample.home_states[self.number] == self._homing:
             self.different_since = sample.tick
             return f"{self._name} is being homed", True
-        kinds = {activity(real), activity(twin)}
-        twin_fault_only = twin == "FAULT" != real  # the twin would ignore an enable of the real axis
-        if (kinds == {Activity.IDLE} and not twin_fault_only) or (kinds == {Activity.ACTIVE} and self._aligned):
-            self.different_since = None
-            return "", False
+        kinds = activity(real), activity(twin)
+        if kinds[0] is kinds[1]:
+            twin_fault_only = twin == "FAULT" != real  # the twin would ignore an enable of the real axis
+            if not twin_fault_only if kinds[0] is Activity.IDLE else kinds[0] is Activity.ACTIVE and self._aligned:
+                self.different_since = None
+                return "", False
         if self.different_since is None:
             self.different_since = sample.tick
         return f"{self._name} is {real}, its twin {twin}", Activity.SEARCHING in kinds
 
     def in_real_coordinates(self, replica: Replica, sample: Sample) -> dict[str, int]:
         """Positions of the twin's axis in the unwrapped coordinates of the real axis [counts], by variable name."""
-        near = sample.position[self.number]
-        names = [f"{self._name}.{name}" for name in ROTOR_REFERENCED]
-        return {name: near + _int32(replica.raw[name] + self._offset - near) for name in names}
+        near, raw = sample.position[self.number], replica.raw
+        return {name: near + _int32(raw[name] + self._offset - near) for name in self._positions}
 
 
 def _int32(value: int) -> int:

@@ -7,6 +7,9 @@ between two slow ticks therefore takes effect with the later one, on the real an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache, partial
+from itertools import chain
+from operator import itemgetter
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
@@ -41,6 +44,11 @@ class Replica:
         self.board = board
         self.catalogue = board.catalogue
         self._expired = expired_mask(board.catalogue)
+        self._label = cache(partial(state_label, board.catalogue))
+        self._states = [(f"{prefix}.state", f"{prefix}.substate") for prefix in map(axis_name, range(AXES))]
+        self._limits = [f"{axis_name(axis)}.limits" for axis in range(AXES)]
+        self._positions = [f"{axis_name(axis)}.position" for axis in range(AXES)]
+        self._all_states = itemgetter(*self._limits, *chain.from_iterable(self._states))
         self.tick = 0  # last completed slow tick [PWM periods since reset]
         self.raw: Mapping[str, int] = {}  # raw snapshot of `tick`, by variable name; empty before the first
 
@@ -108,9 +116,18 @@ class Replica:
         """State of an axis, such as ``STOP`` or ``RUN/SPIN``."""
         if not self.raw:
             return "INIT"
-        prefix = axis_name(axis)
-        return state_label(self.catalogue, self.raw[f"{prefix}.state"], self.raw[f"{prefix}.substate"])
+        state, substate = self._states[axis]
+        return self._label(self.raw[state], self.raw[substate])
+
+    def states(self) -> tuple[int, ...]:
+        """Raw states and limits of all axes."""
+        found: tuple[int, ...] = self._all_states(self.raw)
+        return found
+
+    def position(self) -> tuple[int, ...]:
+        """Positions of all axes [counts]."""
+        return tuple([self.raw[name] for name in self._positions])
 
     def expired(self, axis: int) -> bool:
         """True if an axis has stopped after the timeout of its set-point."""
-        return bool(self.raw.get(f"{axis_name(axis)}.limits", 0) & self._expired)
+        return bool(self.raw.get(self._limits[axis], 0) & self._expired)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
-from typing import Final
+from functools import cache, partial
+from operator import itemgetter
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ ANGLE_DEPENDENT: Final = (
 
 _COMMON: Final = ("tick", "applied_tick", "applied_count")
 _PER_AXIS: Final = ("position", "speed", "i_q", "state", "substate")
+_WHOLE: Final = ("position", "position_ref", "state", "substate", "faults", "limits", "home_state")
+"""Quantities of an axis that a `Sample` has as raw numbers; 0 where the telemetry has none."""
+_WHOLE_MAX: Final = 1 << 53  # larger numbers are not exact
 _REST_COUNTS: Final = 2  # of the encoder or the position; the controller does not correct an error of one count
 
 
@@ -60,8 +64,7 @@ def expired_mask(catalogue: Catalogue) -> int:
     return sum(flag.mask for flag in catalogue.flags["limits"] if flag.name in ("EXPIRED", "STARVED"))
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """One sample of the real board."""
 
     tick: int  # PWM periods since reset, extended past 32 bits
@@ -87,10 +90,14 @@ class SampleReader:
     """
 
     def __init__(self, catalogue: Catalogue) -> None:
-        self._catalogue = catalogue
         self._axes = [axis_name(axis) for axis in range(AXES)]
-        self._lsb = catalogue[f"{self._axes[0]}.position"].lsb
+        self._label = cache(partial(state_label, catalogue))
         self._expired = expired_mask(catalogue)
+        # Names and resolutions of the raw numbers, in the order of `_sample`.
+        self._names = [*_COMMON, *topics.STAMP_COLUMNS, *(f"{axis}.{name}" for name in _WHOLE for axis in self._axes)]
+        self._lsb = [catalogue[name].lsb if name in catalogue.variables else 1.0 for name in self._names]
+        self._columns: Sequence[str] = ()  # of the last table
+        self._pick: Callable[[Sequence[float]], Sequence[float]] = tuple  # raw numbers of a row with a 0 behind it
 
     def rows(self, columns: Sequence[str], table: NDArray[np.float64]) -> list[Sample]:
         """One sample per row of a table (samples, columns), SI.
@@ -98,37 +105,50 @@ class SampleReader:
         Raises
         ------
         ValueError
-            If a required column is missing.
+            If a required column is missing, or a number in one that is raw on the board is not finite.
         """
+        if columns != self._columns:
+            self._pick = itemgetter(*self._placed(columns))
+            self._columns = columns
+        return [self._sample(dict(zip(columns, row, strict=True)), self._numbers(row)) for row in table.tolist()]
+
+    def _numbers(self, row: list[float]) -> list[int]:
+        """Raw numbers in a row, in the order of `_names`."""
+        try:
+            numbers = [round(value / lsb) for value, lsb in zip(self._pick([*row, 0.0]), self._lsb, strict=True)]
+        except (ValueError, OverflowError):  # not finite
+            numbers = [_WHOLE_MAX]
+        if max(numbers) >= _WHOLE_MAX or min(numbers) <= -_WHOLE_MAX:
+            raise ValueError("the snapshot has ticks, positions, states or flags that are no numbers of a board")
+        return numbers
+
+    def _placed(self, columns: Sequence[str]) -> list[int]:
+        """Places of the raw numbers in the rows of a table."""
         needed = [*_COMMON, *topics.STAMP_COLUMNS, *(f"{a}.{name}" for a in self._axes for name in _PER_AXIS)]
         missing = [name for name in needed if name not in columns]
         if missing:
             raise ValueError(f"the snapshot has no {', '.join(missing)}, which the twin requires")
-        return [self._sample(dict(zip(columns, row, strict=True))) for row in table.tolist()]
+        places = {name: place for place, name in enumerate(columns)}
+        for axis in self._axes:
+            places.setdefault(f"{axis}.position_ref", places[f"{axis}.position"])
+        return [places.get(name, len(columns)) for name in self._names]
 
-    def _sample(self, values: Mapping[str, float]) -> Sample:
-        position = tuple(round(values[f"{axis}.position"] / self._lsb) for axis in self._axes)
-        reference = tuple(
-            round(values[name] / self._lsb) if (name := f"{axis}.position_ref") in values else counts
-            for axis, counts in zip(self._axes, position, strict=True)
-        )
-        labels = tuple(
-            state_label(self._catalogue, int(values[f"{axis}.state"]), int(values[f"{axis}.substate"]))
-            for axis in self._axes
-        )
-        second, nanosecond = (int(values[name]) for name in topics.STAMP_COLUMNS)
+    def _sample(self, values: Mapping[str, float], numbers: list[int]) -> Sample:
+        tick, applied_tick, applied_count, second, nanosecond, *per_axis = numbers
+        by_quantity = zip(*[iter(per_axis)] * AXES, strict=True)
+        position, reference, states, substates, faults, limits, home_states = by_quantity
         return Sample(
-            tick=int(values["tick"]),
-            stamp_ns=second * 1_000_000_000 + nanosecond,
-            applied_tick=int(values["applied_tick"]),
-            applied_count=int(values["applied_count"]),
-            labels=labels,
-            position=position,
-            position_ref=reference,
-            faults=tuple(int(values.get(f"{axis}.faults", 0.0)) for axis in self._axes),
-            expired=tuple(bool(int(values.get(f"{axis}.limits", 0.0)) & self._expired) for axis in self._axes),
-            home_states=tuple(int(values.get(f"{axis}.home_state", 0.0)) for axis in self._axes),
-            values=values,
+            tick,
+            second * 1_000_000_000 + nanosecond,
+            applied_tick,
+            applied_count,
+            tuple(map(self._label, states, substates)),
+            position,
+            reference,
+            faults,
+            tuple([bool(word & self._expired) for word in limits]),
+            home_states,
+            values,
         )
 
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +67,7 @@ class TwinSettings:
     disagreement: float = 0.5  # longest time with different activities of the boards, except rotor searches [s]
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """Both boards at the same tick."""
 
     tick: int  # tick of the real board
@@ -132,6 +131,7 @@ class Twin:
         self._in_force: RawParameters = {}  # parameters of the twin's board, in coordinates of the real board
         self._bursts = BurstSampler(self._catalogue, self._resolution)
         self._last_difference = ""  # `Pair.difference` of the last sample
+        self._agreed_states: tuple[object, ...] | None = None  # `_states` with all aligned; None: it may not be
         self._blocks: dict[int, tuple[int, ...]] = {}  # known configuration blocks of the real board
         self._windings: Sequence[float] = ()  # winding temperatures of the real motors [deg C]; empty: unknown
 
@@ -331,21 +331,31 @@ class Twin:
         self._last = sample
         if replica is None:
             return None
-        for axis in self._axes:
-            axis.observe(replica, sample)
-        self._align(replica, sample)
-        self._align_at_standstill(replica, sample)
-        difference = self._difference(replica, sample)
-        if self._replica is None:
-            return None
-        if self._detached and not difference and all(map(self._rest.at_rest, range(AXES))):
-            self._attach_model(replica, {axis.number: axis.shaft(sample) for axis in self._axes})
-        self._last_difference = difference
+        same = _states(replica, sample) == self._agreed_states
+        if not same:
+            for axis in self._axes:
+                axis.observe(replica, sample)
+            self._align(replica, sample)
+        self._own_rest.add(sample.tick, replica.position())
+        if not same:
+            self._align_at_standstill(replica, sample)
+            self._last_difference = self._difference(replica, sample)
+            if self._replica is None:
+                return None
+            self._note_agreement(replica, sample)
         if self._bursts.sampling:
             self._bursts.note(self._alignment(sample))
-        stopping = tuple(axis.stopping for axis in self._axes)
+        stopping = tuple([axis.stopping for axis in self._axes])
         values = self._values(replica, sample)
+        difference = self._last_difference
         return Pair(sample.tick, sample.stamp_ns, sample.values, values, difference, stopping, self.fault)
+
+    def _note_agreement(self, replica: Replica, sample: Sample) -> None:
+        """Nothing has to be aligned before the next command or change of a state, if all is aligned now."""
+        if self._detached and not self._last_difference and all(map(self._rest.at_rest, range(AXES))):
+            self._attach_model(replica, {axis.number: axis.shaft(sample) for axis in self._axes})
+        pending = self._detached or bool(self._last_difference) or any(axis.stopping for axis in self._axes)
+        self._agreed_states = None if pending else _states(replica, sample)
 
     def _alignment(self, sample: Sample) -> Alignment:
         return Alignment(sample.tick, self._shift, tuple(axis.offset for axis in self._axes), self._last_difference)
@@ -399,6 +409,7 @@ class Twin:
 
     def _switch_on(self, attached: bool = False) -> Replica:
         self._replica = replica = Replica(self._new_board())
+        self._agreed_states = None
         self._detached = self._attach is not None
         if attached:
             self._attach_model(replica, {})
@@ -447,6 +458,7 @@ class Twin:
         """Run to the sample and execute all commands up to it."""
         taken = False
         for command in self._commands.until(sample.tick):
+            self._agreed_states = None
             replica.run_to(slow_tick(command.tick + self._shift - 1))
             if command.variable == TAKE:
                 repeat_blocks(replica, command)
@@ -500,8 +512,6 @@ class Twin:
 
     def _align_at_standstill(self, replica: Replica, sample: Sample) -> None:
         """Align the positions again after a stop."""
-        own = tuple(replica.raw[f"{axis_name(number)}.position"] for number in range(AXES))
-        self._own_rest.add(sample.tick, own)
         changed = [
             axis.align_at_standstill(replica, sample)
             for number, axis in enumerate(self._axes)
@@ -544,11 +554,19 @@ class Twin:
 
     def _values(self, replica: Replica, sample: Sample) -> dict[str, float]:
         """Values of the twin for the columns of the sample."""
-        raw = dict(replica.raw)
+        raw, compared = replica.raw, self._compared
+        found = {"tick": float(sample.tick)}
+        found.update([(name, raw[name] * compared[name]) for name in sample.values if name in compared])
         for axis in self._axes:
-            raw.update(axis.in_real_coordinates(replica, sample))
-        found = {name: raw[name] * lsb for name in sample.values if (lsb := self._compared.get(name)) is not None}
-        return {"tick": float(sample.tick)} | found
+            for name, counts in axis.in_real_coordinates(replica, sample).items():
+                if name in found:
+                    found[name] = counts * compared[name]
+        return found
+
+
+def _states(replica: Replica, sample: Sample) -> tuple[object, ...]:
+    """All states of both boards on which their alignment depends."""
+    return sample.labels, sample.expired, sample.home_states, replica.states()
 
 
 def _ticks(seconds: float) -> int:

@@ -103,12 +103,12 @@ class Divergence:
     def add(self, pair: Pair, *, exact: bool) -> None:
         """Compare a pair; `exact`: bit for bit."""
         if exact:
-            differing = [name for name, value in pair.twin.items() if pair.real[name] != value]
-            if not differing and self.first is None:
+            if self.first is None and pair.twin.items() <= pair.real.items():
                 self._same.append(pair)
                 if pair.tick - self._same[0].tick > _ticks(_HISTORY):
                     self._same.popleft()
                 return
+            differing = [name for name, value in pair.twin.items() if pair.real[name] != value]
             self._flush()
             for name in differing:
                 size = pair.real[name] - pair.twin[name]

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 from servo_msgs_py.figure import new_figure
 
 from servo_twin.runs.curves import TIME, Curves, collected
@@ -101,6 +100,8 @@ def picture(spectrum: Spectrum, unit: str) -> Any:
 
 def _averaged(time: _Array, values: _Array) -> tuple[_Array, _Array]:
     """Frequencies [Hz] and amplitudes, (bins,), by Welch's method with a Hann window."""
+    from scipy import signal  # takes longer to import than all the rest of ``servo-twin``
+
     shown = np.isfinite(values)
     grid = np.linspace(time[0], time[-1], len(time))
     even = np.interp(grid, time[shown], values[shown])
@@ -112,6 +113,8 @@ def _averaged(time: _Array, values: _Array) -> tuple[_Array, _Array]:
 
 def _lines(frequency: _Array, amplitude: _Array, turns: float | None) -> tuple[Line, ...]:
     """Peaks that stand out of their surroundings; `turns` per second, None: not constant."""
+    from scipy import signal
+
     around = signal.medfilt(amplitude, min(_AROUND, (len(amplitude) - 1) | 1))
     peaks, _ = signal.find_peaks(amplitude, height=_ABOVE * around, distance=_LOBE)
     found = []
