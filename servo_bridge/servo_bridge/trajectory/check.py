@@ -18,6 +18,10 @@ from servo_bridge.trajectory.waypoints import DURATION_MAX, Array
 _ROUNDING = 1.0e-9
 """Tolerance of a limit for rounding, relative to the larger of the limit and 1."""
 
+_SHORT = 1.0e-6
+"""Fraction of a piece: in shorter parts, as between its end at rest and the root there, the sign of the velocity is
+that of a rounding error."""
+
 _UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2", "torque": "N m"}
 
 
@@ -180,6 +184,8 @@ def _in_piece(
     hits: list[tuple[float, float, float]] = []
     cuts = np.concatenate(([0.0], roots(velocity) if coulomb else [], [1.0]))
     for begin, end in pairwise(cuts):
+        if end - begin < _SHORT:
+            continue
         shifted = polynomial.copy()
         shifted[0] += coulomb * np.sign(np.polynomial.polynomial.polyval(0.5 * (begin + end), velocity))
         s, values = extrema(shifted, float(begin), float(end))

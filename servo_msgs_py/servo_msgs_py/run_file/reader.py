@@ -175,7 +175,7 @@ class RunReader:
         damaged, entry = 0, None
         with file.open("rb") as stream:
             try:
-                for entry in _entries(stream):
+                for entry in _entries(stream, bytes_max=_BYTES_MAX):
                     if isinstance(entry, Chunk):
                         try:
                             data = _unpacked(entry)
@@ -261,7 +261,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     return data
 
 
-def _entries(stream: IO[bytes]) -> Iterator[McapRecord]:
+def _entries(stream: IO[bytes], *, bytes_max: int) -> Iterator[McapRecord]:
     """Entries of an MCAP file: as `mcap.stream_reader.StreamReader`, without those that are not needed.
 
     Parsing the indexes of the messages takes longer than reading the messages.
@@ -278,8 +278,8 @@ def _entries(stream: IO[bytes]) -> Iterator[McapRecord]:
         if len(head) < _ENTRY.size:
             raise EndOfFile
         code, length = _ENTRY.unpack(head)
-        if length > _BYTES_MAX:
-            raise RecordLengthLimitExceeded(code, length, _BYTES_MAX)
+        if length > bytes_max:
+            raise RecordLengthLimitExceeded(code, length, bytes_max)
         data = stream.read(length)
         if len(data) < length:
             raise EndOfFile
