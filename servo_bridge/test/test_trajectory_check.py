@@ -174,6 +174,12 @@ def test_a_path_in_the_time_of_the_remedy_is_accepted(times: list[float], goals:
             require(path.in_time(float(time[1])), [limits])
 
 
+def test_no_time_is_named_for_a_path_that_begins_in_motion() -> None:
+    path = path_through(Waypoints.of(["axis1"], [0, 1], [[0], [5]], [[1], [0]]))
+    with pytest.raises(TrajectoryError, match=r"^velocity .*; use more time for the motion, or change the limit$"):
+        require(path, [Limits(velocity_max=2.0)])
+
+
 def test_effort_that_no_time_reduces_is_named() -> None:
     path = path_through(Waypoints.of(["axis1"], [0, 1], [[0], [1]], efforts=[[2], [2]]))
     with pytest.raises(TrajectoryError, match=r"^torque .*; use less effort, or change the limit$"):

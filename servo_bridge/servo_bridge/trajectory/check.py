@@ -137,6 +137,8 @@ def least(holds: Callable[[float], bool], first: float, largest: float) -> float
 def _remedy(path: Path, limits: Sequence[Limits], violation: Violation) -> str:
     if violation.quantity == "position":
         return "move the waypoints inside the limit"
+    if path.state(path.start_time).velocity.any():
+        return "use more time for the motion"  # which begins with the same speed then: the shape changes
     dynamic = [replace(limit, position_min=-math.inf, position_max=math.inf) for limit in limits]
 
     def holds(time: float) -> bool:

@@ -244,12 +244,11 @@ class AxisAlignment:
         if sample.home_states[self.number] == self._homing:
             self.different_since = sample.tick
             return f"{self._name} is being homed", True
-        kinds = activity(real), activity(twin)
-        if kinds[0] is kinds[1]:
-            twin_fault_only = twin == "FAULT" != real  # the twin would ignore an enable of the real axis
-            if not twin_fault_only if kinds[0] is Activity.IDLE else kinds[0] is Activity.ACTIVE and self._aligned:
-                self.different_since = None
-                return "", False
+        kinds = {activity(real), activity(twin)}
+        twin_fault_only = twin == "FAULT" != real  # the twin would ignore an enable of the real axis
+        if (kinds == {Activity.IDLE} and not twin_fault_only) or (kinds == {Activity.ACTIVE} and self._aligned):
+            self.different_since = None
+            return "", False
         if self.different_since is None:
             self.different_since = sample.tick
         return f"{self._name} is {real}, its twin {twin}", Activity.SEARCHING in kinds

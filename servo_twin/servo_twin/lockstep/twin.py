@@ -331,29 +331,26 @@ class Twin:
         self._last = sample
         if replica is None:
             return None
-        same = _states(replica, sample) == self._agreed_states
-        if not same:
-            for axis in self._axes:
-                axis.observe(replica, sample)
+        agreed = _states(replica, sample) == self._agreed_states
+        if not agreed:
             self._align(replica, sample)
         self._own_rest.add(sample.tick, replica.position())
-        if not same:
+        if not agreed:
             self._align_at_standstill(replica, sample)
             self._last_difference = self._difference(replica, sample)
             if self._replica is None:
                 return None
+            if self._detached and not self._last_difference and all(map(self._rest.at_rest, range(AXES))):
+                self._attach_model(replica, {axis.number: axis.shaft(sample) for axis in self._axes})
             self._note_agreement(replica, sample)
         if self._bursts.sampling:
             self._bursts.note(self._alignment(sample))
         stopping = tuple([axis.stopping for axis in self._axes])
         values = self._values(replica, sample)
-        difference = self._last_difference
-        return Pair(sample.tick, sample.stamp_ns, sample.values, values, difference, stopping, self.fault)
+        return Pair(sample.tick, sample.stamp_ns, sample.values, values, self._last_difference, stopping, self.fault)
 
     def _note_agreement(self, replica: Replica, sample: Sample) -> None:
         """Nothing has to be aligned before the next command or change of a state, if all is aligned now."""
-        if self._detached and not self._last_difference and all(map(self._rest.at_rest, range(AXES))):
-            self._attach_model(replica, {axis.number: axis.shaft(sample) for axis in self._axes})
         pending = self._detached or bool(self._last_difference) or any(axis.stopping for axis in self._axes)
         self._agreed_states = None if pending else _states(replica, sample)
 
@@ -497,6 +494,8 @@ class Twin:
 
     def _align(self, replica: Replica, sample: Sample) -> None:
         """Align the axes that have entered closed-loop control on both boards."""
+        for axis in self._axes:
+            axis.observe(replica, sample)
         for number, axis in enumerate(self._axes):
             if axis.must_catch_up(replica, sample) and self._others_at_rest(number, sample):
                 axis.catch_up(replica, self.settings.search)

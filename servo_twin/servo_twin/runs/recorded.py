@@ -31,10 +31,6 @@ _MEANING: Final = {
 """What a missing topic means for a replay; the others matter only with bursts."""
 
 
-_ABOUT: Final = (f"/{topics.RUN_INFO}", f"/{topics.TUNING}")
-"""Ends of the names of the topics that say what ran."""
-
-
 class RunError(ValueError):
     """A recording cannot be used; the text has the reason and a remedy."""
 
@@ -60,10 +56,8 @@ class _Found:
     troubles: Counter[str] = field(default_factory=Counter)
 
     def take(self, record: Record) -> None:
-        self.topics[record.topic] += 1
-        if not record.topic.endswith(_ABOUT):  # as nearly all
-            return
         namespace, _, name = record.topic.rpartition("/")
+        self.topics[record.topic] += 1
         try:
             if name == topics.RUN_INFO:
                 self._take_info(namespace, run_info(string_of(record.data)))
