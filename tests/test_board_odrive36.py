@@ -8,7 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,13 @@ from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.text_file import read_toml
 from servo_twin._build_native import generated_for
 from servo_twin.board import Board, BoardError
+from servo_twin.board_memory import BUSY
 from servo_twin.cli import main as servo_sim
-from servo_twin.fault_injection import HotPowerStage, ShortedPhase, StuckConverter
+from servo_twin.fault_injection import HotPowerStage, ShortedPhase, StalledCore, StuckConverter
 from servo_twin.level import ELF_VARIABLE, LEVEL_VARIABLE, LEVELS, Level
 from servo_twin.plant import DEFAULT_FILE, PlantConfig, on_board
 from servo_twin.simulation import keep_set_points
+from servo_twin.validation.experiments.named_faults import has_fault
 from targets.sources import ROOT
 from targets.toolchain import run
 from test_board_elf import planted, symbol
@@ -203,6 +205,42 @@ def test_an_exception_during_the_start_ends_in_a_reset(elf: bytes, tmp_path: Pat
         before = board.peek(TIM5_CNT)  # since the start of the clocks
         board.run(0.5)
         assert 0 < board.peek(TIM5_CNT) < before
+
+
+def _answers(board: Board) -> set[int]:
+    """Statuses of what the host does with variables of the software: read, write, sample."""
+    current = board.catalogue["axis1.i_q"]
+    accesses: list[Callable[[], object]] = [
+        lambda: board.read("axis1.faults"),
+        lambda: board.write("cmd.enable", [0, 0]),
+        lambda: board.sample(0, [(current, 0)], 10),
+    ]
+    statuses = set()
+    for access in accesses:
+        try:
+            access()
+            statuses.add(0)
+        except BoardError as error:
+            statuses.add(error.status)
+    return statuses
+
+
+def test_a_board_that_starts_again_is_busy(elf: bytes) -> None:
+    """Reset by the watchdog: no function of the program is called before its start-up code has filled the memory."""
+    with enabled(new_board(elf)) as board:
+        board.inject(StalledCore(0.2))
+        seen: list[set[int]] = []
+        while board.time_ns < 700 * MS:
+            board.run(0.0005)
+            answers = _answers(board)
+            board.end_sampling()
+            assert has_fault(board, 0) == (answers == {0} and faults(board)[0] != [])
+            if not seen or answers != seen[-1]:
+                seen.append(answers)
+                with board.copy() as other:
+                    assert _answers(other) == answers
+        assert seen == [{0}, {BUSY}, {0}]
+        assert faults(board) == [["WATCHDOG"], ["WATCHDOG"]]
 
 
 # ---- errors planted in the sources of the port ---------------------------------------------------------------------

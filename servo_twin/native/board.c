@@ -208,10 +208,10 @@ static uint8_t sample_program(board_t *board, board_sampler_t *sampler, int reco
 {
     board_sampler_t set_up = {.cells = cells, .recorder = recorder, .point = point, .points = points};
     for (uint16_t k = 0; k < cells; k++) {
-        set_up.source[k] = board_program_place(board, cell[k].address, cell[k].size);
+        const uint8_t status = board_program_place(board, cell[k].address, cell[k].size, &set_up.source[k]);
         set_up.size[k] = cell[k].size;
-        if (set_up.source[k] == NULL) {
-            return FM_DENIED;
+        if (status != FM_OK) {
+            return status;
         }
     }
     if (point == 0u || points == 0u) {

@@ -30,12 +30,13 @@ board_sampler_t *board_sampler(board_t *board)
     return NULL;
 }
 
-const uint8_t *board_program_place(board_t *board, uint32_t address, uint16_t size)
+uint8_t board_program_place(board_t *board, uint32_t address, uint16_t size, const uint8_t **place)
 {
     (void)board;
     (void)address;
     (void)size;
-    return NULL;
+    (void)place;
+    return FM_DENIED;
 }
 
 uint64_t board_program_identity(const board_t *board)

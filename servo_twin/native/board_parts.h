@@ -76,8 +76,8 @@ static inline void board_sampler_take(board_sampler_t *sampler, int recorder)
 /* NULL if the software is linked: then its recorder samples. */
 board_sampler_t *board_sampler(board_t *board);
 
-/* Place of a variable of the program, or NULL. */
-const uint8_t *board_program_place(board_t *board, uint32_t address, uint16_t size);
+/* Place of a variable of the program. FreeMASTER status: FM_BUSY while the program starts. */
+uint8_t board_program_place(board_t *board, uint32_t address, uint16_t size, const uint8_t **place);
 
 /* Identity of the program that is executed instead of that servo; 0: none. */
 uint64_t board_program_identity(const board_t *board);

@@ -316,9 +316,9 @@ board_sampler_t *board_sampler(board_t *board)
     return board->program.loaded ? &board->sampler : NULL;
 }
 
-const uint8_t *board_program_place(board_t *board, uint32_t address, uint16_t size)
+uint8_t board_program_place(board_t *board, uint32_t address, uint16_t size, const uint8_t **place)
 {
-    return program_live(&board->program, address, size);
+    return program_live(&board->program, address, size, place);
 }
 
 uint64_t board_program_identity(const board_t *board) { return board->program.identity; }

@@ -141,6 +141,7 @@ static void handler_begins(void *self, unsigned interrupt)
 {
     program_t *program = program_of(self);
     bus_t *bus = program->bus;
+    program->initialised = true;
     bus_note(bus, TRACE_ENTER, interrupt, program->arm.state.nvic.priority[interrupt]);
     program->hooks->begins(bus->board);
 }
@@ -167,6 +168,7 @@ static const arm_owner_t owner = {
 static void power_up(program_t *program)
 {
     program->bus->must_boot = false;
+    program->initialised = false;
     program->clock = program->bus->now;
     arm_reset(&program->arm);
 }
@@ -245,7 +247,10 @@ static const uint8_t *place(const program_t *program, uint32_t address, size_t s
 
 /* ---- calls ---------------------------------------------------------------------------------------------------------- */
 
-/* Result of a function of the program, which finds `data` at DATA_BASE; no time passes. FM_BUSY if it cannot run. */
+static bool is_initialised(const program_t *program) { return program->initialised && !program->bus->must_boot; }
+
+/* Result of a function of the program, which finds `data` at DATA_BASE; no time passes. FM_BUSY if it cannot run: until the
+ * start of the program is done, its code and variables are not in memory, or those from before the reset. */
 static uint32_t call(program_t *program, uint32_t function, const uint32_t argument[4], uint8_t *data, uint16_t size)
 {
     arm_t *arm = &program->arm;
@@ -257,7 +262,7 @@ static uint32_t call(program_t *program, uint32_t function, const uint32_t argum
     memcpy(&within, &bus->escape, sizeof within);
     arm->region[REGION_DATA] = (arm_region_t){.base = DATA_BASE, .size = size, .bytes = data, .writable = true};
     program->calling = true;
-    if (!bus->failed && setjmp(bus->escape) == 0) {
+    if (!bus->failed && is_initialised(program) && setjmp(bus->escape) == 0) {
         bus->polls = 0;
         arm_call_begin(arm, function);
         for (unsigned k = 0; k < 4u; k++) {
@@ -287,11 +292,15 @@ uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data,
     return (uint8_t)call(program, program->write, argument, (uint8_t *)data, size); /* only read */
 }
 
-const uint8_t *program_live(program_t *program, uint32_t address, uint16_t size)
+uint8_t program_live(program_t *program, uint32_t address, uint16_t size, const uint8_t **found)
 {
     uint8_t cell[1];
     const uint32_t argument[4] = {program->space, address, size, DATA_BASE};
-    return place(program, call(program, program->live, argument, cell, sizeof cell), size);
+    if (!is_initialised(program)) {
+        return FM_BUSY;
+    }
+    *found = place(program, call(program, program->live, argument, cell, sizeof cell), size);
+    return (*found != NULL) ? FM_OK : FM_DENIED;
 }
 
 const uint8_t *program_snapshot(const program_t *program)

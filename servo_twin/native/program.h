@@ -47,6 +47,7 @@ typedef struct program {
     bool loaded;
     bool calling;      /* a function runs as by a debugger: no time passes */
     bool timeless;     /* instructions take no time */
+    bool initialised;  /* since its reset the software has permitted interrupts: its memory is filled */
     uint64_t identity; /* of the program, for states of boards */
     uint64_t clock;    /* of the next instruction [bus clocks] */
     uint64_t next;     /* clock before which nothing happens; 0: unknown */
@@ -64,12 +65,12 @@ void program_free(program_t *program);
 /* As chip_run. */
 void program_run(program_t *program, uint64_t until);
 
-/* servo_read and servo_write of the program. */
+/* servo_read and servo_write of the program. FM_BUSY while it starts. */
 uint8_t program_read(program_t *program, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t program_write(program_t *program, uint32_t address, const uint8_t *data, uint16_t size);
 
-/* tsa_live of the program: where the control loops have a variable of the table, or NULL. */
-const uint8_t *program_live(program_t *program, uint32_t address, uint16_t size);
+/* tsa_live of the program: where the control loops have a variable of the table. FM_BUSY while it starts. */
+uint8_t program_live(program_t *program, uint32_t address, uint16_t size, const uint8_t **found);
 
 /* Place of `size` bytes of its flash or RAM, or NULL. */
 uint8_t *program_memory(program_t *program, uint32_t address, size_t size);

@@ -8,13 +8,16 @@ from typing import Any, Final, NamedTuple
 
 _ENTRY_SIZE: Final = 16
 
+BUSY: Final = 0x87
+"""FreeMASTER status: busy; also of a board that executes an ELF file, while it starts again after a reset."""
+
 OUT_OF_RANGE: Final = 0x97
 """FreeMASTER status: value outside the range of the variable."""
 
 _STATUS_TEXT: Final[Mapping[int, str]] = {
     0x84: "more bytes than one request can transfer",
     0x86: "wrong number of bytes",
-    0x87: "busy",
+    BUSY: "busy",
     0x89: "access denied: not inside one variable, or read-only",
     OUT_OF_RANGE: "value outside the range of the variable",
 }

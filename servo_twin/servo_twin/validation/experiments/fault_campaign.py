@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.board_port import first_fault, place, word
+from servo_msgs_py.board_port import first_fault, place
 from servo_msgs_py.table_text import aligned
 from servo_msgs_py.units import TICK, TICK_NS
 
@@ -37,6 +37,7 @@ from servo_twin.validation.experiments.named_faults import (
     PROVOKED_TIME,
     fault_time,
     gain_max,
+    has_fault,
 )
 from servo_twin.validation.experiments.operating_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.validation.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
@@ -166,7 +167,7 @@ class _Monitor:
         while board.time_ns < end:
             self.play(min(board.time_ns + TICK_NS, end))
             self.look()
-            if word(self._bench.board, self._bench.axis, "faults"):
+            if has_fault(self._bench.board, self._bench.axis):
                 return True
         return False
 

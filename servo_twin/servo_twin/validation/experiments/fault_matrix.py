@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.board_port import active, first_fault, reached, word, write_axis
+from servo_msgs_py.board_port import active, first_fault, reached, write_axis
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS, TICK
 
 from servo_twin.fault_injection import (
@@ -31,6 +31,7 @@ from servo_twin.validation.experiments.named_faults import (
     PROVOKED_TIME,
     fault_time,
     gain_max,
+    has_fault,
 )
 from servo_twin.validation.experiments.operating_states import Bench
 from servo_twin.validation.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
@@ -197,7 +198,7 @@ def case(plant: PlantConfig, seed: int, fault_case: FaultCase, state: str) -> Ca
         STATES[state](bench)
 
         def found_within(seconds: float) -> bool:
-            return reached(board, lambda: word(board, 0, "faults") != 0, seconds)
+            return reached(board, lambda: has_fault(board, 0), seconds)
 
         cause = board.time_ns // PERIOD_NS
         injected.inject(board)

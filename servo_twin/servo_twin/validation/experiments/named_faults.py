@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from servo_msgs_py.board_port import word
 from servo_msgs_py.fault_record import FaultRecord, record_variable
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_twin.board import Board
+from servo_twin.board import Board, BoardError
+from servo_twin.board_memory import BUSY
 from servo_twin.plant import AxisPlant
 
 NOTHING: Final = ""
@@ -24,6 +26,16 @@ FINAL_TIME: Final = 0.15
 
 GAIN_MARGIN: Final = 0.5
 """Permitted gain of speed by friction and quantisation [rad/s]."""
+
+
+def has_fault(board: Board, axis: int) -> bool:
+    """Whether an axis reports a fault; it reports none while the software starts after a reset."""
+    try:
+        return word(board, axis, "faults") != 0
+    except BoardError as error:
+        if error.status != BUSY:
+            raise
+        return False
 
 
 def fault_record(board: Board, axis: int) -> FaultRecord:
