@@ -243,6 +243,49 @@ def test_a_board_that_starts_again_is_busy(elf: bytes) -> None:
         assert faults(board) == [["WATCHDOG"], ["WATCHDOG"]]
 
 
+# ---- the fault matrix ----------------------------------------------------------------------------------------------
+
+MATRIX = {
+    ("open phase b", "100 rad/s"): ("PHASE_LOST", True),
+    ("phase a to minus", "-250 rad/s"): ("OVER_CURRENT", False),  # the common line opens axis 2 as well
+    ("converter b at 0", "torque"): ("OVER_CURRENT", True),  # beyond the 30 A of the port
+    ("encoder line A", "FREEWHEEL"): ("ENCODER_LOST", True),
+    ("supply gone", "torque"): ("UNDER_VOLTAGE", True),
+    ("core hangs", "20 rad/s"): ("WATCHDOG", True),
+    ("noise x 3", "-250 rad/s"): ("", True),
+}
+"""Each kind of fault in a state: reported fault, and whether the other axis is as expected."""
+
+CASES = """
+import json, sys
+from servo_twin.plant import PlantConfig
+from servo_twin.validation.experiments.fault_matrix import case, fault_cases
+
+plant = PlantConfig.load()
+named = {fault_case.name: fault_case for fault_case in fault_cases(plant)}
+for name, state in json.load(sys.stdin):
+    found = case(plant, 7, named[name], state)
+    late = found.periods is None or found.periods > (named[name].periods_max or 10_000)
+    print(json.dumps([found.name, found.other, found.gained <= found.gain_max, late]))
+"""
+
+
+@pytest.fixture(scope="module")
+def matrix(elf: bytes, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], list[object]]:
+    """Cases of the experiment, executed from the file: fault, other axis, no motion afterwards, detected late."""
+    command, environment = [sys.executable, "-c", CASES], environment_of(elf, tmp_path_factory.mktemp("matrix"))
+    text = json.dumps(list(MATRIX))
+    done = subprocess.run(command, input=text, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return dict(zip(MATRIX, map(json.loads, done.stdout.splitlines()), strict=True))
+
+
+@pytest.mark.parametrize("place", MATRIX, ids=", ".join)
+def test_a_fault_of_the_matrix(matrix: dict[tuple[str, str], list[object]], place: tuple[str, str]) -> None:
+    name, other = MATRIX[place]
+    assert matrix[place] == [name, other, True, name == ""]
+
+
 # ---- errors planted in the sources of the port ---------------------------------------------------------------------
 
 SWAPPED = (
