@@ -368,8 +368,9 @@ def test_faults_and_supply_change_during_the_run_and_belong_to_the_state(warning
     run(model, data, 1200, lambda _: [30.0, 0.0])
     assert bits(data) == end
     data.userdata[2] = np.nan
-    mujoco.mj_step(model, data)
-    assert "userdata 2, supply.u_source: the value is not a number" in warnings[-1]
+    run(model, data, 3)
+    assert warnings[-1] == "servo.board: userdata 2, supply.u_source: the value is not a number"
+    assert warnings.count(warnings[-1]) == 1
     mujoco.mj_resetData(model, data)
     run(model, data, 400)
     assert board(data)["u_dc"] == pytest.approx(PLANT.bus.u_source, abs=0.5)
@@ -419,7 +420,7 @@ def test_rotor_search_of_a_shaft_at_rest_has_no_hint(warnings: list[str]) -> Non
     assert warnings == ["servo.board: actuator 0: fault PHASE_LOST"]
 
 
-def test_state_before_an_error_of_the_board_can_be_restored() -> None:
+def test_board_that_cannot_go_on_stands_still_until_a_state_is_restored(warnings: list[str]) -> None:
     """The shaft of an axis without an actuator gets faster than any motor."""
     text = arm(config='<config key="plant.axis2.load_torque" value="1"/>', axis2="")
     joint = '<plugin name="elbow" joint="elbow" gear="100.0" plugin="servo.board" instance="board" />'
@@ -432,11 +433,90 @@ def test_state_before_an_error_of_the_board_can_be_restored() -> None:
     run(model, data, 100)
     end = bits(data)
     for other in (data, mujoco.MjData(model)):
-        with pytest.raises(mujoco.FatalError, match="faster than 20000 rad/s"):
-            run(model, other, 2000)
+        warnings.clear()
+        run(model, other, 2000)
+        assert sum("stands still" in one for one in warnings) == 1
+        assert "instance 0: board: a shaft is faster than 20000 rad/s" in warnings[-1]
+        assert other.actuator_force[0] == 0.0
         mujoco.mj_setState(model, other, state, STATE)
         run(model, other, 100)
         assert bits(other) == end
+
+
+@pytest.mark.parametrize(("mode", "step"), [("POSITION", 0.0003), ("POSITION", 1e-5), ("TRAJECTORY", 0.0000625)])
+def test_time_step_that_does_not_fit_during_the_run(mode: str, step: float, warnings: list[str]) -> None:
+    """The board stands still without torque, also in a copy, and goes on where the joints are then."""
+    model, data = started(arm(f"shoulder {mode}", f"elbow {mode}"))
+    model.opt.gravity[:] = 0.0
+    data.qvel[:] = 1.0
+    model.opt.timestep = step
+    run(model, data, 100)
+    other = copy.copy(data)
+    assert [one.partition("; write")[0] for one in warnings] == [
+        "servo.board: instance 0: timestep: "
+        + ("in mode TRAJECTORY a multiple of a slow tick" if mode == "TRAJECTORY" else "not a multiple of a PWM period")
+    ]
+    assert data.actuator_force.tolist() == [0.0, 0.0]
+    model.opt.timestep = 0.0005
+    data.ctrl[:] = other.ctrl[:] = GEAR * data.qpos
+    for one in (data, other):
+        run(model, one, 3000)
+    assert GEAR * data.qpos == pytest.approx(data.ctrl, abs=0.05)
+    assert bits(other) == bits(data)
+
+
+def test_state_that_is_none_of_this_board_starts_it_anew(warnings: list[str]) -> None:
+    """Zeros, as in a state that was written by hand, and a damaged one."""
+    model, data = started(arm())
+    spoilt = copy.copy(data)
+    data.plugin_state[:] = 0.0
+    spoilt.plugin_state[1000] = 1.0 + np.random.default_rng(1).random()
+    ends = []
+    for one in (data, spoilt):
+        mujoco.mj_forward(model, one)
+        run(model, one, SEARCHED)
+        ends.append(board(one)["axis1.substate"])
+    assert ends == 2 * [Catalogue.load().enums["substate_t"]["SPIN"]]
+    assert warnings == [
+        f"servo.board: instance 0: plugin state: {what}; the board starts anew"
+        for what in ("not one of this export", "the state is incomplete or damaged")
+    ]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
+@pytest.mark.parametrize("integrator", ["implicitfast", "RK4"])
+def test_bad_numbers_leave_finite_torques_and_a_state_that_can_be_restored(
+    value: float, integrator: str, warnings: list[str]
+) -> None:
+    """In all that a program may write during a run; without the reset by which MuJoCo ends some of them."""
+    inputs = '<config key="inputs" value="supply.u_source axis1.fault.heat"/>'
+    text = arm("shoulder SPEED", config=inputs + brake(0.1)).replace("implicitfast", integrator)
+    model, data = started(text.replace("<extension>", '<size nuserdata="2"/><extension>'))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
+    places = {
+        **{name: getattr(data, name) for name in ("qpos", "qvel", "ctrl", "userdata", "qfrc_applied", "plugin_state")},
+        **{name: getattr(model, name) for name in ("actuator_gear", "actuator_ctrlrange", "dof_armature")},
+    }
+    ends = {}
+    for name in ("nothing", *places):
+        mujoco.mj_setState(model, data, state, STATE)
+        place = places.get(name)
+        if place is not None:
+            before = place.copy()
+            place.flat[-1 if name == "plugin_state" else 0] = value
+            for _ in range(20):
+                mujoco.mj_step(model, data)
+                assert np.isfinite(data.actuator_force).all(), name
+            place[...] = before
+        own = [one for one in warnings if one.startswith("servo.board")]
+        assert len(own) == len(set(own)), name  # each once
+        warnings.clear()
+        mujoco.mj_setState(model, data, state, STATE)
+        run(model, data, 50)
+        ends[name] = bits(data)
+    assert [name for name, end in ends.items() if end != ends["nothing"]] == []
 
 
 def test_axis_homes_at_its_home_switch(warnings: list[str]) -> None:

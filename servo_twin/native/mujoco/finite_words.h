@@ -17,7 +17,7 @@
 
 typedef char words_fit_t[(WORD == sizeof(uint64_t)) ? 1 : -1];
 
-static inline size_t finite_words(size_t size) { return (size + WORD_BYTES - 1) / WORD_BYTES; }
+#define FINITE_WORDS(size) (((size) + WORD_BYTES - 1) / WORD_BYTES)
 
 static inline size_t finite_buffer(size_t words) { return WORD_BYTES * words + 1; }
 

@@ -90,20 +90,35 @@ static const char *refuse_drive(const mjModel *m, int instance, int actuator)
                                                 : NULL;
 }
 
+static const char *const axis_keys[AXES] = {"axis1", "axis2"};
+
+/* Split "ACTUATOR [MODE]", which is POSITION by default. */
+static control_mode_t take_mode(char name[TEXT_MAX], const char *text)
+{
+    (void)snprintf(name, TEXT_MAX, "%s", text);
+    char *space = strrchr(name, ' ');
+    for (size_t k = 0; space != NULL && k < MODES; k++) {
+        if (strcmp(space + 1, mode_names[k]) == 0) {
+            *space = '\0';
+            return (control_mode_t)k;
+        }
+    }
+    return CONTROL_MODE_POSITION;
+}
+
+void model_take_modes(const mjModel *m, int instance, drive_t drive[AXES])
+{
+    char name[TEXT_MAX];
+    for (int axis = 0; axis < AXES; axis++) {
+        drive[axis].mode = take_mode(name, config(m, instance, axis_keys[axis]));
+    }
+}
+
 /* "ACTUATOR [MODE]" of an axis. NULL, or what is wrong. */
 static const char *take_drive(const mjModel *m, int instance, drive_t *drive, const char *text)
 {
     char name[TEXT_MAX];
-    (void)snprintf(name, sizeof name, "%s", text);
-    char *space = strrchr(name, ' ');
-    drive->mode = CONTROL_MODE_POSITION;
-    for (size_t k = 0; space != NULL && k < MODES; k++) {
-        if (strcmp(space + 1, mode_names[k]) == 0) {
-            drive->mode = (control_mode_t)k;
-            *space = '\0';
-            break;
-        }
-    }
+    drive->mode = take_mode(name, text);
     drive->actuator = mj_name2id(m, mjOBJ_ACTUATOR, name);
     return (drive->actuator < 0)
                ? "no actuator has this name; write \"ACTUATOR [POSITION | SPEED | TORQUE | TRAJECTORY]\""
@@ -133,15 +148,14 @@ static const char *take_home(const mjModel *m, int instance, drive_t *drive, con
 /* Axes of the actuators: by the attributes axis1 and axis2, without them in the order of the model. */
 static const char *take_drives(const mjModel *m, int instance, model_t *model, const char **where)
 {
-    static const char *const names[AXES] = {"axis1", "axis2"};
     int count = 0;
     bool named = false;
     for (int axis = 0; axis < AXES; axis++) {
         model->drive[axis].actuator = -1;
-        const char *text = config(m, instance, names[axis]);
+        const char *text = config(m, instance, axis_keys[axis]);
         if (text[0] != '\0') {
             named = true;
-            *where = names[axis];
+            *where = axis_keys[axis];
             const char *problem = take_drive(m, instance, &model->drive[axis], text);
             if (problem != NULL) {
                 return problem;
@@ -344,36 +358,32 @@ static const char *check_joint(const mjModel *m, model_t *model, const exported_
                : NULL;
 }
 
-bool model_step(const mjModel *m, uint64_t period_ns, uint64_t *step_ns)
+const char *model_step(const mjModel *m, const drive_t drive[AXES], uint64_t *step_ns)
 {
     const double step = m->opt.timestep * 1e9;
     *step_ns = (step > 0.5 && step < 1e12) ? (uint64_t)(step + 0.5) : 0;
-    return *step_ns >= period_ns && *step_ns % period_ns == 0 && fabs(step - (double)*step_ns) < TIME_TOLERANCE;
+    if (*step_ns < PERIOD_NS || *step_ns % PERIOD_NS != 0 || !(fabs(step - (double)*step_ns) < TIME_TOLERANCE)) {
+        return "not a multiple of a PWM period; write for example <option timestep=\"0.0005\"/>";
+    }
+    for (int axis = 0; axis < AXES; axis++) {
+        if (drive[axis].mode == CONTROL_MODE_TRAJECTORY && *step_ns % TICK_NS != 0) {
+            return "in mode TRAJECTORY a multiple of a slow tick; write for example <option timestep=\"0.0005\"/>";
+        }
+    }
+    return NULL;
 }
 
 const char *model_take(const mjModel *m, int instance, model_t *model, exported_t *board, const char **where)
 {
-    uint64_t step_ns;
     const char *level = config(m, instance, "level");
     *where = "level";
     if (level[0] != '\0' && strcmp(level, "ideal") != 0) {
         return "the plugin has a board at level ideal; for level registers use servo-sim robot or RobotDrives";
     }
-    *where = "timestep";
-    if (!model_step(m, PERIOD_NS, &step_ns)) {
-        return "not a multiple of a PWM period; write for example <option timestep=\"0.0005\"/>";
-    }
     const char *problem = take_drives(m, instance, model, where);
     for (int axis = 0; problem == NULL && axis < AXES; axis++) {
         static const char *const keys[AXES] = {"axis1.home", "axis2.home"};
         problem = take_home(m, instance, &model->drive[axis], keys[axis], where);
-        if (problem != NULL) {
-            break;
-        }
-        *where = "timestep";
-        if (model->drive[axis].mode == CONTROL_MODE_TRAJECTORY && step_ns % TICK_NS != 0) {
-            problem = "in mode TRAJECTORY a multiple of a slow tick; write for example <option timestep=\"0.0005\"/>";
-        }
     }
     problem = (problem == NULL) ? model_take_sensors(m, instance, &model->sensors, where) : problem;
     problem = (problem == NULL) ? model_configure(m, instance, board, where) : problem;

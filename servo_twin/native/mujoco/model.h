@@ -38,7 +38,10 @@ const char *model_take_sensors(const mjModel *m, int instance, names_t *sensors,
 /* Parameters of plant and firmware, and faults, of a board that has not started. */
 const char *model_configure(const mjModel *m, int instance, exported_t *board, const char **where);
 
-/* The time step, if it is a multiple of a period. */
-bool model_step(const mjModel *m, uint64_t period_ns, uint64_t *step_ns);
+/* The modes alone, before the actuators of a model are complete. */
+void model_take_modes(const mjModel *m, int instance, drive_t drive[AXES]);
+
+/* The time step of a model, for drives with these modes. NULL, or what is wrong; users change it during the run. */
+const char *model_step(const mjModel *m, const drive_t drive[AXES], uint64_t *step_ns);
 
 #endif

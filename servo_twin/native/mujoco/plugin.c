@@ -15,9 +15,15 @@
 #include "mujoco/model.h"
 
 typedef struct {
+    uint64_t token; /* of the export */
     coupled_axis_t axis[AXES];
+    uint64_t stands; /* 1: the board could not take the last step */
     uint64_t size; /* of the board's state behind this [bytes]; 0: it starts with the next step */
 } head_t;
+
+/* The head can be written alone: the state of the board begins with a number of its own. */
+#define HEAD_WORDS FINITE_WORDS(sizeof(head_t))
+#define HEAD_SIZE (WORD_BYTES * HEAD_WORDS)
 
 typedef struct instance {
     const mjData *data; /* whose instance it is */
@@ -28,7 +34,7 @@ typedef struct instance {
     mjtNum *last; /* the plugin's state with that board */
     bool known; /* there is one */
     uint8_t *bytes; /* for a state as bytes */
-    double refused[NAMES_MAX]; /* last refused value of each input, for the warning */
+    double refused[NAMES_MAX]; /* last refused value of each input, or its start, which is accepted; for the warning */
 } instance_t;
 
 /* ---- instances ------------------------------------------------------------------------------------------------------ */
@@ -82,18 +88,24 @@ static instance_t *removed(const mjData *d, int number)
 
 /* ---- board and state ------------------------------------------------------------------------------------------------ */
 
-/* Room for the head and a state of a board that has started. */
+/* Room for the head and a state of a board that has started. Only the compiler of models calls this. It checks the time step: later
+ * it may have been changed, and the board in a copy of that simulation stands still, too. */
 static int plugin_nstate(const mjModel *m, int instance)
 {
     size_t size = 0;
-    (void)m;
-    (void)instance;
+    uint64_t step_ns;
+    drive_t drive[AXES];
     exported_t *board = exported_new();
     if (board != NULL && exported_start(board, 0.0).status == EXPORTED_DONE) {
         (void)exported_save(board, NULL, 0, &size);
     }
     exported_free(board);
-    return (int)finite_words(sizeof(head_t) + size);
+    model_take_modes(m, instance, drive);
+    const char *problem = model_step(m, drive, &step_ns);
+    if (problem != NULL) {
+        mju_error(PLUGIN_NAME ": 'timestep': %s", problem);
+    }
+    return (int)FINITE_WORDS(HEAD_SIZE + size);
 }
 
 static mjtNum *state_of(const mjModel *m, mjData *d, int instance)
@@ -101,60 +113,101 @@ static mjtNum *state_of(const mjModel *m, mjData *d, int instance)
     return d->plugin_state + m->plugin_stateadr[instance];
 }
 
-static head_t head_of(const mjtNum *state)
+/* Of a board that starts with the next step. */
+static head_t first_head(void)
 {
-    head_t head;
-    uint8_t bytes[sizeof head + WORD];
-    finite_decode(state, bytes, finite_words(sizeof head));
-    memcpy(&head, bytes, sizeof head);
+    head_t head = {.token = strtoull(exported_token() + 16, NULL, 16)};
+    for (int axis = 0; axis < AXES; axis++) {
+        head.axis[axis].zero = NAN;
+    }
     return head;
 }
 
-/* The board as it is in a state. */
-static exported_t *restored(const mjModel *m, mjData *d, int instance)
+/* False if the state is not one of this export; then the head is the first one. */
+static bool head_of(const mjtNum *state, head_t *head)
+{
+    const head_t first = first_head();
+    uint8_t bytes[HEAD_SIZE + 1];
+    finite_decode(state, bytes, HEAD_WORDS);
+    memcpy(head, bytes, sizeof *head);
+    const bool own = head->token == first.token;
+    *head = own ? *head : first;
+    return own;
+}
+
+static void set_head(mjtNum *state, const head_t *head)
+{
+    uint8_t bytes[HEAD_SIZE + 1] = {0};
+    memcpy(bytes, head, sizeof *head);
+    finite_encode(state, bytes, HEAD_WORDS);
+}
+
+/* Make the board that of a state. NULL, or why it cannot be; then the board has not started. */
+static const char *restore(const mjModel *m, mjData *d, int instance, head_t *head)
 {
     instance_t *own = instance_of(d, instance);
     const mjtNum *state = state_of(m, d, instance);
     const size_t words = (size_t)m->plugin_statenum[instance];
-    const size_t room = WORD_BYTES * words - sizeof(head_t);
-    const head_t head = head_of(state);
-    if (head.size == 0) {
-        if (exported_board(own->board) != NULL) {
-            const char *where;
-            (void)model_configure(m, instance, own->board, &where); /* accepted at the begin */
-        }
-        own->known = false;
-    } else if (!own->known || memcmp(own->last, state, WORD * words) != 0) {
+    exported_result_t result = {EXPORTED_DONE};
+    if (!head_of(state, head)) {
+        result.what = "not one of this export";
+    } else if (head->size > WORD_BYTES * words - HEAD_SIZE) {
+        result.what = "too large";
+    } else if (head->size > 0 && (!own->known || memcmp(own->last, state, WORD * words) != 0)) {
         finite_decode(state, own->bytes, words);
-        const exported_result_t result = (head.size <= room)
-                                             ? exported_restore(own->board, own->bytes + sizeof head, head.size)
-                                             : (exported_result_t){EXPORTED_FAILED, "is too large", "state"};
-        own->known = result.status == EXPORTED_DONE;
-        if (!own->known) {
-            mju_error(PLUGIN_NAME ": plugin state: %s", result.what);
-        }
+        result = exported_restore(own->board, own->bytes + HEAD_SIZE, head->size);
         memcpy(own->last, state, WORD * words);
     }
-    return own->board;
+    if (result.what != NULL) {
+        *head = first_head();
+    }
+    own->known = head->size > 0;
+    if (!own->known && exported_board(own->board) != NULL) {
+        const char *where;
+        (void)model_configure(m, instance, own->board, &where); /* accepted at the begin */
+    }
+    return result.what;
 }
 
-static void save(const mjModel *m, mjData *d, int instance, head_t head)
+/* Write the state after a step. NULL, or why it cannot be kept; then that of the step before stays. */
+static const char *save(const mjModel *m, mjData *d, int instance, const head_t *before)
 {
     instance_t *own = instance_of(d, instance);
+    head_t head = *before;
     size_t size = 0;
     const size_t words = (size_t)m->plugin_statenum[instance];
-    const size_t room = WORD_BYTES * words - sizeof head;
-    const exported_result_t result = exported_save(own->board, own->bytes + sizeof head, room, &size);
-    if (result.status != EXPORTED_DONE || size > room) {
-        mju_error(PLUGIN_NAME ": %s",
-                  (result.status != EXPORTED_DONE) ? result.what : "the state of the board has grown");
+    const size_t room = WORD_BYTES * words - HEAD_SIZE;
+    const exported_result_t result = exported_save(own->board, own->bytes + HEAD_SIZE, room, &size);
+    if (result.status != EXPORTED_DONE || size > room) { /* no host sends to it, so it does not grow */
+        return (result.status != EXPORTED_DONE) ? result.what : "it has grown";
     }
+    head.stands = 0;
     head.size = size;
+    memset(own->bytes, 0, HEAD_SIZE);
     memcpy(own->bytes, &head, sizeof head);
-    memset(own->bytes + sizeof head + size, 0, room - size);
+    memset(own->bytes + HEAD_SIZE + size, 0, room - size);
     finite_encode(own->last, own->bytes, words);
     own->known = true;
     memcpy(state_of(m, d, instance), own->last, WORD * words);
+    return NULL;
+}
+
+/* A step that the board cannot take: its state stays, without torque. Its joints have moved when it goes on, see drive_couple. */
+static void stand_still(const mjModel *m, mjData *d, int instance, const char *what, const char *where)
+{
+    mjtNum *state = state_of(m, d, instance);
+    head_t head;
+    (void)head_of(state, &head);
+    if (head.stands == 0) {
+        mju_warning(PLUGIN_NAME ": instance %d: %s: %s; the board stands still without torque until it can go on",
+                    instance, where, what);
+    }
+    head.stands = 1;
+    for (int axis = 0; axis < AXES; axis++) {
+        head.axis[axis].torque = 0.0;
+    }
+    set_head(state, &head);
+    instance_of(d, instance)->known = false; /* the board may have taken a part of the step */
 }
 
 /* ---- life of an instance -------------------------------------------------------------------------------------------- */
@@ -190,6 +243,7 @@ static int plugin_init(const mjModel *m, mjData *d, int instance)
         mju_error(PLUGIN_NAME ": %s", text); /* the compiler of models catches it */
         return -1;
     }
+    memcpy(own->refused, own->model.start, sizeof own->refused);
     own->data = d;
     own->number = instance;
     free_instance(inserted(own));
@@ -200,21 +254,16 @@ static void plugin_destroy(mjData *d, int instance) { free_instance(removed(d, i
 
 static void plugin_reset(const mjModel *m, mjtNum *state, void *data, int instance)
 {
-    head_t head = {.size = 0};
+    const head_t head = first_head();
     (void)data;
-    for (int axis = 0; axis < AXES; axis++) {
-        head.axis[axis].zero = NAN;
-    }
-    uint8_t bytes[sizeof head + WORD] = {0};
-    memcpy(bytes, &head, sizeof head);
     memset(state, 0, (size_t)m->plugin_statenum[instance] * sizeof *state);
-    finite_encode(state, bytes, finite_words(sizeof head));
+    set_head(state, &head);
 }
 
 /* ---- simulation ----------------------------------------------------------------------------------------------------- */
 
 /* Power on; the joints are at the end of the first step, a step away from the angles of the start. */
-static void start(const mjModel *m, const mjData *d, int instance, const instance_t *own)
+static exported_result_t start(const mjModel *m, const mjData *d, const instance_t *own)
 {
     for (int axis = 0; axis < AXES; axis++) {
         if (own->model.drive[axis].actuator >= 0) {
@@ -226,10 +275,7 @@ static void start(const mjModel *m, const mjData *d, int instance, const instanc
             (void)exported_set(own->board, exported_variable(name)->reference, theta - omega * m->opt.timestep);
         }
     }
-    const exported_result_t result = exported_start(own->board, d->time - m->opt.timestep);
-    if (result.status != EXPORTED_DONE) {
-        mju_error(PLUGIN_NAME ": instance %d: %s: %s", instance, result.where, result.what);
-    }
+    return exported_start(own->board, d->time - m->opt.timestep);
 }
 
 /* Faults, supply and parameters that change during the run. */
@@ -243,7 +289,7 @@ static void give_inputs(const mjData *d, instance_t *own)
         const exported_result_t result = (value != exported_number(board, reference))
                                              ? exported_set(board, reference, value)
                                              : (exported_result_t){EXPORTED_DONE};
-        if (result.status != EXPORTED_DONE && own->refused[i] != value) { /* once, not in every step */
+        if (result.status != EXPORTED_DONE && memcmp(&own->refused[i], &value, sizeof value) != 0) { /* once; or NaN */
             own->refused[i] = value;
             mju_warning(PLUGIN_NAME ": userdata %d, %s: %s", model->userdata + i, model->inputs.variable[i]->name,
                         result.what);
@@ -251,58 +297,78 @@ static void give_inputs(const mjData *d, instance_t *own)
     }
 }
 
+/* Torque of a drive for the next step, after this one [N m]. */
+static double torque_of(const mjModel *m, mjData *d, board_t *board, const drive_t *drive, int axis, double impulse)
+{
+    board_truth_t truth;
+    board_truth(board, axis, &truth);
+    const double torque = (truth.impulse_e - impulse) / m->opt.timestep;
+    return (truth.brake_holds != 0.0)
+               ? torque + board_brake_torque(board, axis, drive_inertia(m, d, drive->actuator), m->opt.timestep)
+               : torque;
+}
+
 static void plugin_advance(const mjModel *m, mjData *d, int instance)
 {
     instance_t *own = instance_of(d, instance);
-    exported_t *exported = restored(m, d, instance);
-    head_t head = head_of(state_of(m, d, instance));
-    double before[AXES] = {0.0};
-    board_truth_t truth;
+    double impulse[AXES] = {0.0};
     uint64_t step_ns;
-    if (!model_step(m, PERIOD_NS, &step_ns)) {
-        mju_error(PLUGIN_NAME ": the time step of the model is not a multiple of a PWM period any more");
+    head_t head;
+    const char *problem = model_step(m, own->model.drive, &step_ns);
+    if (problem != NULL) {
+        stand_still(m, d, instance, problem, "timestep");
+        return;
     }
-    if (head.size == 0) {
-        start(m, d, instance, own);
+    problem = restore(m, d, instance, &head);
+    if (problem != NULL) {
+        mju_warning(PLUGIN_NAME ": instance %d: plugin state: %s; the board starts anew", instance, problem);
     }
-    board_t *board = exported_board(exported);
+    const exported_result_t started = (head.size == 0) ? start(m, d, own) : (exported_result_t){EXPORTED_DONE};
+    if (started.status != EXPORTED_DONE) {
+        stand_still(m, d, instance, started.what, started.where);
+        return;
+    }
+    board_t *board = exported_board(own->board);
     give_inputs(d, own);
     for (int axis = 0; axis < AXES; axis++) { /* before all that use the zero of the control signal */
         if (own->model.drive[axis].actuator >= 0) {
             drive_couple(m, d, board, &own->model.drive[axis], axis, &head.axis[axis]);
         }
     }
-    drive_follow(m, d, own->model.drive, head.axis, exported, step_ns); /* before: the mode of a path takes a step */
+    drive_follow(m, d, own->model.drive, head.axis, own->board, step_ns); /* before: the mode of a path takes a step */
     for (int axis = 0; axis < AXES; axis++) {
         const drive_t *drive = &own->model.drive[axis];
         if (drive->actuator >= 0) {
-            drive_command(m, d, exported, drive, axis, &head.axis[axis]);
+            board_truth_t truth;
+            drive_command(m, d, own->board, drive, axis, &head.axis[axis]);
             drive_shaft(m, d, board, drive, axis, &head.axis[axis]);
             board_truth(board, axis, &truth);
-            before[axis] = truth.impulse_e;
+            impulse[axis] = truth.impulse_e;
         }
     }
     board_advance(board, board_time_ns(board) + step_ns);
     if (board_error(board) != NULL) {
-        own->known = false; /* the same state is restored again */
-        mju_error(PLUGIN_NAME ": instance %d: %s", instance, board_error(board));
+        stand_still(m, d, instance, board_error(board), "board");
+        return;
     }
     for (int axis = 0; axis < AXES; axis++) {
-        board_truth(board, axis, &truth);
-        head.axis[axis].torque = (truth.impulse_e - before[axis]) / m->opt.timestep;
-        if (truth.brake_holds != 0.0 && own->model.drive[axis].actuator >= 0) {
-            head.axis[axis].torque +=
-                board_brake_torque(board, axis, drive_inertia(m, d, own->model.drive[axis].actuator), m->opt.timestep);
+        const drive_t *drive = &own->model.drive[axis];
+        if (drive->actuator >= 0) {
+            head.axis[axis].torque = torque_of(m, d, board, drive, axis, impulse[axis]);
         }
     }
-    save(m, d, instance, head);
+    problem = save(m, d, instance, &head);
+    if (problem != NULL) {
+        stand_still(m, d, instance, problem, "plugin state");
+    }
 }
 
 static void plugin_compute(const mjModel *m, mjData *d, int instance, int capability)
 {
     const instance_t *own = instance_of(d, instance);
+    head_t head;
     if (capability == mjPLUGIN_ACTUATOR) {
-        const head_t head = head_of(state_of(m, d, instance));
+        (void)head_of(state_of(m, d, instance), &head);
         for (int axis = 0; axis < AXES; axis++) {
             if (own->model.drive[axis].actuator >= 0) {
                 d->actuator_force[own->model.drive[axis].actuator] = head.axis[axis].torque;
@@ -310,10 +376,11 @@ static void plugin_compute(const mjModel *m, mjData *d, int instance, int capabi
         }
         return;
     }
-    const exported_t *board = restored(m, d, instance);
+    (void)restore(m, d, instance, &head); /* the next step warns */
     for (int k = 0; k < (int)m->nsensor; k++) {
         for (int i = 0; m->sensor_plugin[k] == instance && i < own->model.sensors.count; i++) {
-            d->sensordata[m->sensor_adr[k] + i] = exported_number(board, own->model.sensors.variable[i]->reference);
+            d->sensordata[m->sensor_adr[k] + i] =
+                exported_number(own->board, own->model.sensors.variable[i]->reference);
         }
     }
 }
