@@ -176,6 +176,8 @@ def snapshot_table(message: Float64MultiArray) -> tuple[list[str], NDArray[np.fl
         raise ValueError(
             "not a telemetry table: two dimensions expected, the second with all column names as its label"
         )
+    if len(set(names)) < len(names):
+        raise ValueError("not a telemetry table: a column has the name of another")
     shape = dimensions[0].size, dimensions[1].size
     data = np.asarray(message.data, dtype=np.float64)
     if data.size != shape[0] * shape[1]:

@@ -195,17 +195,20 @@ class TestSamples:
         assert not detector.at_rest(1)
 
     @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
-    @pytest.mark.parametrize("column", ["tick", "axis1.position", "axis2.state", topics.STAMP_COLUMNS[0]])
-    def test_what_is_no_raw_number_of_a_board_is_refused(self, column: str, value: float) -> None:
+    @pytest.mark.parametrize(
+        "column", ["tick", "axis1.position", "axis2.state", "axis1.speed", "u_dc", topics.STAMP_COLUMNS[0]]
+    )
+    def test_a_number_that_no_board_sends_is_refused(self, column: str, value: float) -> None:
         row = self.row()
         row[0, COLUMNS.index(column)] = value
-        with pytest.raises(ValueError, match="no numbers of a board"):
+        with pytest.raises(ValueError, match="which no board sends"):
             SampleReader(CATALOGUE).rows(COLUMNS, row)
 
-    def test_quantities_may_be_unknown(self) -> None:
-        row = self.row()
-        row[0, COLUMNS.index("axis1.speed")] = np.nan
-        assert np.isnan(SampleReader(CATALOGUE).rows(COLUMNS, row)[0].values["axis1.speed"])
+    def test_the_limits_of_every_variable_are_accepted(self) -> None:
+        names = [name for name in COLUMNS if name in CATALOGUE.variables]
+        for end in (min, max):
+            row = np.array([[CATALOGUE[name].scale(end(CATALOGUE[name].raw_range)) for name in names]])
+            assert SampleReader(CATALOGUE).rows([*names, *topics.STAMP_COLUMNS], np.hstack([row, [[1.0, 2.0]]]))
 
 
 class TestReplica:

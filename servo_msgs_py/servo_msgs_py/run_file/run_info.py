@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import Any, Final
 
@@ -101,6 +101,26 @@ def string_of(data: bytes) -> str:
 
 
 def known(kind: type[Any], table: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries of a table that are members of a data class."""
-    names = {each.name for each in fields(kind)}
-    return {name: value for name, value in table.items() if name in names}
+    """Entries of a table that are members of a data class whose members have defaults.
+
+    Raises
+    ------
+    TypeError
+        If one has another type than its default.
+    """
+    defaults = vars(kind())
+    found = {name: value for name, value in table.items() if name in defaults}
+    for name, value in found.items():
+        if not isinstance(value, _KINDS.get(type(defaults[name]), object)):
+            raise TypeError(f"{name} is {value!r}")
+    return found
+
+
+_KINDS: Final[Mapping[type, type | tuple[type, ...]]] = {
+    str: str,
+    int: int,
+    float: (int, float),
+    tuple: (list, tuple),
+    dict: dict,
+}
+"""Types of JSON by that of a default."""

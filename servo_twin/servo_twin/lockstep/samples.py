@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
@@ -33,6 +34,8 @@ _PER_AXIS: Final = ("position", "speed", "i_q", "state", "substate")
 _WHOLE: Final = ("position", "position_ref", "state", "substate", "faults", "limits", "home_state")
 """Quantities of an axis that a `Sample` has as raw numbers; 0 where the telemetry has none."""
 _WHOLE_MAX: Final = 1 << 53  # larger numbers are not exact
+_EXTENDED: Final = ("position", "position_ref")
+"""Quantities of an axis that the bridge extends beyond the 32 bits of the board, as it does the tick."""
 _REST_COUNTS: Final = 2  # of the encoder or the position; the controller does not correct an error of one count
 
 
@@ -96,6 +99,8 @@ class SampleReader:
         # Names and resolutions of the raw numbers, in the order of `_sample`.
         self._names = [*_COMMON, *topics.STAMP_COLUMNS, *(f"{axis}.{name}" for name in _WHOLE for axis in self._axes)]
         self._lsb = [catalogue[name].lsb if name in catalogue.variables else 1.0 for name in self._names]
+        self._catalogue = catalogue
+        self._bounds = np.empty((2, 0))  # smallest and largest value by column of the last table
         self._columns: Sequence[str] = ()  # of the last table
         self._pick: Callable[[Sequence[float]], Sequence[float]] = tuple  # raw numbers of a row with a 0 behind it
 
@@ -105,22 +110,35 @@ class SampleReader:
         Raises
         ------
         ValueError
-            If a required column is missing, or a number in one that is raw on the board is not finite.
+            If a required column is missing, or a number is none that a board sends.
         """
         if columns != self._columns:
             self._pick = itemgetter(*self._placed(columns))
+            self._bounds = np.array([self._bounds_of(name) for name in columns]).T
             self._columns = columns
+        low, high = self._bounds
+        valid = (table >= low) & (table <= high)
+        if not valid.all():
+            row, column = np.argwhere(~valid)[0]
+            raise ValueError(f"a sample has the {columns[column]} {table[row, column]:g}, which no board sends")
         return [self._sample(dict(zip(columns, row, strict=True)), self._numbers(row)) for row in table.tolist()]
+
+    def _bounds_of(self, column: str) -> tuple[float, float]:
+        """Smallest and largest value of a column; finite."""
+        name = column.partition("[")[0]
+        if column in topics.STAMP_COLUMNS or name == "tick":
+            return 0.0, float(_WHOLE_MAX)
+        variable = self._catalogue.variables.get(name)
+        if variable is None:
+            return -sys.float_info.max, sys.float_info.max
+        if name.partition(".")[2] in _EXTENDED:
+            return -_WHOLE_MAX * variable.lsb, _WHOLE_MAX * variable.lsb
+        low, high = variable.format.low, variable.format.high
+        return (low - 0.5) * variable.lsb, (high + 0.5) * variable.lsb
 
     def _numbers(self, row: list[float]) -> list[int]:
         """Raw numbers in a row, in the order of `_names`."""
-        try:
-            numbers = [round(value / lsb) for value, lsb in zip(self._pick([*row, 0.0]), self._lsb, strict=True)]
-        except (ValueError, OverflowError):  # not finite
-            numbers = [_WHOLE_MAX]
-        if max(numbers) >= _WHOLE_MAX or min(numbers) <= -_WHOLE_MAX:
-            raise ValueError("the snapshot has ticks, positions, states or flags that are no numbers of a board")
-        return numbers
+        return [round(value / lsb) for value, lsb in zip(self._pick([*row, 0.0]), self._lsb, strict=True)]
 
     def _placed(self, columns: Sequence[str]) -> list[int]:
         """Places of the raw numbers in the rows of a table."""

@@ -119,7 +119,7 @@ class _Resampled:
         self._present: Trace | None = next(self._blocks, None)
 
     def at(self, time: _Array) -> dict[str, _Array]:
-        """Values at rising times, all later than those of the last call; NaN outside the run."""
+        """Values at rising times, all later than those of the last call; NaN outside the run and in its gaps."""
         self._fetch(time)
         present = self._present
         if present is None:
@@ -132,11 +132,16 @@ class _Resampled:
         }
 
     def inside(self, time: _Array) -> NDArray[np.bool_]:
-        """Which of the times of the last call are within the run."""
+        """Which of the times of the last call are within the run, and not in a gap of it."""
         if self._present is None:
             return np.zeros(len(time), np.bool_)
         own = self._present[TIME]
-        return np.asarray((time >= own[0] - _ROUNDING) & (time <= own[-1] + _ROUNDING))
+        before = np.maximum(np.searchsorted(own, time + _ROUNDING, side="right") - 1, 0)
+        after = np.minimum(np.searchsorted(own, time - _ROUNDING), len(own) - 1)
+        steps = np.diff(own)[np.diff(own) > 0.0]
+        gap = _GAP * np.median(steps) if len(steps) else np.inf
+        within = (time >= own[0] - _ROUNDING) & (time <= own[-1] + _ROUNDING)
+        return np.asarray(within & (own[after] - own[before] <= gap))
 
     def _column(self, name: str, present: Trace, time: _Array) -> _Array:
         variable = self._catalogue.variables.get(name.partition("[")[0])
@@ -163,6 +168,7 @@ class _Resampled:
 
 
 _ROUNDING: Final = 1e-7  # of sums of times [s]
+_GAP: Final = 1.5  # smallest gap, in which nothing is compared, in usual distances of two samples
 
 
 def _moved(blocks: Iterator[Trace], shift: float) -> Iterator[Trace]:

@@ -6,6 +6,7 @@ A block is a `Trace` with the column `TIME`: board time [s], rising within a run
 from __future__ import annotations
 
 import math
+import struct
 import warnings
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,6 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.convert import snapshot_table
-from servo_msgs_py.run_file.definitions import decoded
 from servo_msgs_py.run_file.reader import RUN_SUFFIXES, Record, RunReader
 from servo_msgs_py.text_file import TextFileError
 from servo_msgs_py.text_file import decoded as text_of
@@ -24,7 +24,8 @@ from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
-from servo_twin.runs.recorded import DEFAULT_NAMESPACE, RecordedRun, RunError
+from servo_twin.runs.recorded import DEFAULT_NAMESPACE, RecordedRun, RunError, message_of
+from servo_twin.runs.sample_order import Place, SampleOrder
 from servo_twin.view import scene
 from servo_twin.view.recording import read_scalars
 
@@ -39,7 +40,6 @@ LOG_TIME: Final = "log_time"
 ROS_TIME: Final = "ros_time"
 """Columns of an exported table: times of the recording and of the sample since the epoch [ns]."""
 
-_FLOAT64: Final = "std_msgs/msg/Float64MultiArray"
 _CDR_LITTLE: Final = b"\x00\x01"
 _CSV_REMEDY: Final = "give a file of servo-tool record"
 _LINE_BYTES: Final = 1 << 16  # of the longest line of a CSV file
@@ -110,6 +110,7 @@ class _Layout:
     """Layout of the serialised messages of one table: their beginning is the same but for the number of samples."""
 
     names: tuple[str, ...]
+    tick: int  # place of the tick in a sample
     start: int  # of the numbers
     place: int  # of the names
     label: bytes  # the names
@@ -123,13 +124,23 @@ class _Layout:
         RunError
             If it is no telemetry with ticks.
         """
-        if record.type != _FLOAT64 or record.data[:2] != _CDR_LITTLE:
-            raise RunError(f"{record.topic} has the type {record.type}, big endian, or another version")
-        names, table = snapshot_table(decoded(record.data, record.type))
+        try:
+            if record.data[:2] != _CDR_LITTLE:
+                raise ValueError("big-endian numbers")
+            names, table = snapshot_table(message_of(record, topics.SNAPSHOT))
+        except ValueError as error:
+            raise RunError(f"{record.topic}: {error}; record it with the bridge of this version") from None
         if TICK not in names:
             raise RunError(f"{record.topic} has no column tick; add it to the parameter telemetry of the bridge")
         label = ",".join(names).encode()
-        return cls(tuple(names), len(record.data) - 8 * table.size, record.data.rindex(label), label)
+        start = len(record.data) - 8 * table.size
+        return cls(tuple(names), names.index(TICK), start, record.data.rindex(label), label)
+
+    def ticks(self, data: bytes) -> tuple[float, float]:
+        """Ticks of the first and the last sample of a message."""
+        row = 8 * len(self.names)
+        first, last = (struct.unpack_from("<d", data, at + 8 * self.tick) for at in (self.start, len(data) - row))
+        return first[0], last[0]
 
     def fits(self, data: bytes) -> bool:
         """Whether a message has this layout."""
@@ -151,11 +162,20 @@ class _Snapshots:
         layout: _Layout | None = None
         parts: list[bytes] = []
         size, last = 0, -np.inf
+        order = SampleOrder()
         for record in self._reader.records({self._topic}):
             if layout is None or not layout.fits(record.data):
                 if layout is not None and parts:
                     last = yield from self._block(layout, parts, names, last)
                 parts, size, layout = [], 0, _Layout.of(record)
+            if len(record.data) == layout.start:
+                continue  # no samples
+            first, final = layout.ticks(record.data)
+            if math.isfinite(first + final) and order.place(first, final, record.time_ns) is Place.RESET:
+                raise RunError(
+                    f"{self.path}: the board was reset before {first * PERIOD_NS * 1e-9:.3f} s; servo-twin export "
+                    "writes a table of the time before it and one of the time after it"
+                )
             parts.append(record.data[layout.start :])
             size += len(record.data) - layout.start
             if size >= 8 * len(layout.names) * BLOCK:
@@ -167,15 +187,36 @@ class _Snapshots:
     def _block(
         self, layout: _Layout, parts: list[bytes], names: Sequence[str] | None, last: float
     ) -> Generator[Trace, None, float]:
-        """The samples of these messages; returns the last time."""
+        """The samples of these messages in the order of their ticks, from a time on; returns the last time."""
         table = np.frombuffer(b"".join(parts), "<f8").reshape(-1, len(layout.names))
-        time = table[:, layout.names.index(TICK)] * (PERIOD_NS * 1e-9)
+        time = table[:, layout.tick] * (PERIOD_NS * 1e-9)
         if (np.diff(time, prepend=last) < 0.0).any():
-            raise RunError(f"{self.path}: the board was reset at {time[0]:.3f} s; split the recording there")
+            sorted_ = np.argsort(time, kind="stable")
+            table = table[sorted_[time[sorted_] >= last]]
+            time = table[:, layout.tick] * (PERIOD_NS * 1e-9)
         chosen = [name for name in layout.names if names is None or name in names]
         columns = {name: table[:, layout.names.index(name)] for name in chosen if name not in topics.STAMP_COLUMNS}
-        yield Trace(0.0, {TIME: time, **columns})
-        return float(time[-1])
+        if len(time):
+            yield _checked(self.path, Trace(0.0, {TIME: time, **columns}), last)
+            last = float(time[-1])
+        return last
+
+
+def _checked(path: Path, block: Trace, last: float) -> Trace:
+    """A block of finite numbers whose time rises from that of the block before on [s].
+
+    Raises
+    ------
+    RunError
+        If it is none.
+    """
+    remedy = "leave such samples out of a table of servo-twin export"
+    for name, column in block.columns.items():
+        if len(places := np.flatnonzero(~np.isfinite(column))):
+            raise RunError(f"{path}: {name} is {column[places[0]]} at {block[TIME][places[0]]:.3f} s; {remedy}")
+    if len(places := np.flatnonzero(np.diff(block[TIME], prepend=last) < 0.0)):
+        raise RunError(f"{path}: the time falls to {block[TIME][places[0]]:.3f} s; {remedy}")
+    return block
 
 
 class _RrdFile:
@@ -218,6 +259,7 @@ class _CsvFile:
             if TIME not in heads or len(set(heads)) < len(heads):
                 raise RunError(f"{self.path} has no column {TIME} in its first line, or a name twice; {_CSV_REMEDY}")
             lines = iter(partial(file.readline, _LINE_BYTES), b"")
+            last = -np.inf
             while True:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", UserWarning)  # the end of the file
@@ -234,4 +276,6 @@ class _CsvFile:
                     columns.pop(stamp, None)
                 if TICK in columns:
                     columns[TIME] = columns[TICK] * (PERIOD_NS * 1e-9)
-                yield Trace(0.0, {n: c for n, c in columns.items() if names is None or n in (TIME, *names)})
+                chosen = {n: c for n, c in columns.items() if names is None or n in (TIME, *names)}
+                yield _checked(self.path, Trace(0.0, chosen), last)
+                last = float(columns[TIME][-1])

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import csv
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.output_file import named
 from servo_msgs_py.run_file.reader import RunReader
 from servo_msgs_py.trace import with_unit
 
 from servo_twin.parquet import import_parquet
-from servo_twin.runs.curves import TICK, TIME, curves_of
+from servo_twin.runs.curves import LOG_TIME, TICK, TIME, curves_of
+from servo_twin.runs.sample_order import Place, SampleOrder
 from servo_twin.runs.tables import Rows, joined, rows_of
 
 _BATCH: Final = 1 << 12
@@ -140,15 +142,15 @@ def export(run: Path, folder: Path, suffix: str, wanted: Collection[str] = ()) -
     files: dict[tuple[str, int, tuple[str, ...]], _File] = {}
     names: Counter[str] = Counter()
     resets: Counter[str] = Counter()  # of the board, by table
-    newest: dict[str, float] = {}  # tick by table
+    orders: defaultdict[str, SampleOrder] = defaultdict(SampleOrder)  # by table
     if suffix == "parquet":
         import_parquet()
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         for rows in every:
-            if (ticks := rows.columns.get(TICK)) is not None:
-                resets[rows.stream] += ticks[0] < newest.get(rows.stream, 0.0)
-                newest[rows.stream] = ticks[-1]
+            if (ticks := rows.columns.get(TICK)) is not None and np.isfinite(ticks).all():
+                place = orders[rows.stream].place(ticks[0], ticks[-1], int(rows.columns[LOG_TIME][0]))
+                resets[rows.stream] += place is Place.RESET
             key = rows.stream, resets[rows.stream], tuple(rows.columns)
             if key not in files:  # also if the columns change during the run, or the time begins again
                 name = rows.stream.strip("/").replace("/", ".")
@@ -176,7 +178,7 @@ def _messages(reader: RunReader, wanted: Collection[str], result: Exported) -> I
             continue
         if rows is None:
             result.left_out[record.topic] += 1
-        else:
+        elif len(rows.columns[LOG_TIME]):
             yield rows
     result.troubles.update(reader.troubles)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
 
@@ -145,7 +146,8 @@ class _Search:
         recorded: list[list[float]] = []
         try:
             for name, message in self._messages:
-                REPLAYED[name].take(twin, message, self._catalogue)
+                with suppress(ValueError):  # the replay has said so
+                    REPLAYED[name].take(twin, message, self._catalogue)
                 for pair in twin.step():
                     self._names = list(pair.twin)
                     own.append(list(pair.twin.values()))
@@ -167,7 +169,7 @@ def _beginning(run: RecordedRun, end: int) -> Iterator[tuple[str, Any]]:
         yield name, message
         if name == topics.SNAPSHOT:
             columns, table = snapshot_table(message)
-            if table[-1, columns.index("tick")] > end:
+            if len(table) and table[-1, columns.index("tick")] > end:
                 return
 
 

@@ -129,7 +129,7 @@ def message_of(record: Record, name: str) -> Any:
     """
     expected = _TYPES[name]
     if record.type != expected:
-        raise ValueError(f"{record.topic} has the type {record.type} instead of {expected}; it is of another version")
+        raise ValueError(f"a message has the type {record.type} instead of {expected}; it is of another version")
     return decoded(record.data, record.type)
 
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from servo_msgs_py.axis_config import Member
 from servo_msgs_py.board_description import DEFAULT_BOARD, OtherBoardError, check_board
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.convert import AppliedCommand, snapshot_table
 from servo_msgs_py.run_file.reader import Record
 from servo_msgs_py.run_file.run_info import VirtualBoard
-from servo_msgs_py.text_file import parse_toml
+from servo_msgs_py.text_file import TextFileError, parse_toml
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
@@ -27,10 +28,11 @@ from servo_twin.level import FAST_LEVEL, LEVELS, Level, chosen_elf
 from servo_twin.lockstep.blocks import TAKE, Blocks, checksums_of
 from servo_twin.lockstep.board_topics import BOARD_TOPICS
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
-from servo_twin.plant import PlantConfig
+from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.robot.command import load_on_line
 from servo_twin.runs.divergence import Departure, Divergence, Estimates
 from servo_twin.runs.recorded import Contents, RecordedRun, RunError, message_of
+from servo_twin.runs.sample_order import Place, SampleOrder
 from servo_twin.servo_config import ServoConfig, servo_table
 
 if TYPE_CHECKING:
@@ -87,10 +89,8 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
 
     Raises
     ------
-    PlantError, TextFileError
-        If the recorded plant is damaged.
     RunError
-        If it is another board than that of the twin.
+        If it is another board than that of the twin, or the recorded plant is damaged.
     """
     notes: list[str] = []
     info = contents.info
@@ -101,15 +101,17 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
             check_board(info.board.get("hardware", DEFAULT_BOARD), catalogue.board)
         except OtherBoardError as error:
             raise RunError(f"the recorded board: {error}") from None
-    if info is not None and info.catalogue and int(info.catalogue, 16) != catalogue.hash:
+    if info is not None and info.catalogue and info.catalogue != f"{catalogue.hash:08X}":
         notes.append(
             f"recorded with another table of variables ({info.catalogue} instead of {catalogue.hash:08X}): "
             "another version of the firmware"
         )
-    plant = PlantConfig.load()
+    if info is not None and info.tick_ns not in (0, PERIOD_NS):
+        notes.append(f"recorded with ticks of {info.tick_ns} ns instead of {PERIOD_NS} ns: another firmware")
+    plant = what_if.plant or PlantConfig.load()
     if virtual is not None:
-        if virtual.plant:
-            plant = PlantConfig.parse(parse_toml(virtual.plant))
+        if virtual.plant and what_if.plant is None:
+            plant = _recorded_plant(virtual)
         if virtual.level != FAST_LEVEL:
             notes.append(f"recorded at level {virtual.level}: equal boards differ within noise")
         notes += [f"a fault was injected: {fault}" for fault in virtual.faults]
@@ -122,7 +124,7 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
             exact = False
     seed = what_if.seed if what_if.seed is not None else virtual.seed if virtual is not None else 1
     return Model(
-        what_if.plant or plant,
+        plant,
         seed,
         what_if.level or FAST_LEVEL,
         what_if.servo or _recorded_configuration(contents),
@@ -133,6 +135,13 @@ def model_of(contents: Contents, what_if: WhatIf) -> Model:
         tuple(notes),
         robot,
     )
+
+
+def _recorded_plant(recorded: VirtualBoard) -> PlantConfig:
+    try:
+        return PlantConfig.parse(parse_toml(recorded.plant))
+    except (PlantError, TextFileError) as error:
+        raise RunError(f"the plant in the recording is damaged ({error}); --plant gives another") from None
 
 
 def _recorded_robot(recorded: VirtualBoard) -> tuple[RobotModel | None, str]:
@@ -222,7 +231,7 @@ class Replayed:
     """Result of a replay."""
 
     stretches: list[Stretch] = field(default_factory=list)
-    samples: int = 0  # in the recording
+    samples: int = 0  # in the recording, without repeated ones
     departures: list[Departure] = field(default_factory=list)  # in order
     first: int | None = None  # first tick of a difference; None: the runs are equal
     first_exact: bool = False  # the difference was found bit for bit
@@ -310,7 +319,8 @@ class Replay:
         self._troubles: Counter[str] = Counter()
         self._synchronisation = 0
         self._open: Stretch | None = None
-        self._ticks = array("q")
+        self._order = SampleOrder()
+        self._ticks = array("q")  # of the newest sample of each message
         self._times = array("q")
 
     def run(self) -> Replayed:
@@ -332,7 +342,11 @@ class Replay:
         if name == topics.WINDING_TEMPERATURES and self._twin.from_reset:
             return  # those of the twin are exact, the recorded ones are rounded
         try:
-            REPLAYED[name].take(self._twin, message_of(record, name), self._catalogue)
+            message = message_of(record, name)
+            if name == topics.SNAPSHOT and not self._in_order(message, record.time_ns):
+                self._troubles["samples out of order or repeated are left out; rosbags-convert sorts a recording"] += 1
+                return
+            REPLAYED[name].take(self._twin, message, self._catalogue)
         except ValueError as error:
             self._troubles[f"{record.topic}: {error}"] += 1
             return
@@ -342,6 +356,22 @@ class Replay:
             self._ticks.append(newest)
             self._times.append(record.time_ns)
         self._step()
+
+    def _in_order(self, message: Any, time_ns: int) -> bool:
+        """Count the samples of a message; false if they do not follow on those before, or on a reset.
+
+        Raises
+        ------
+        ValueError
+            If it is no table.
+        """
+        columns, table = snapshot_table(message)
+        if "tick" in columns and len(table):
+            first, last = table[[0, -1], columns.index("tick")].tolist()
+            if math.isfinite(first + last) and self._order.place(first, last, time_ns) is Place.LATE:
+                return False
+        self._result.samples += len(table)
+        return True
 
     def _step(self) -> None:
         while True:
@@ -379,7 +409,6 @@ class Replay:
     def _finished(self) -> Replayed:
         result, divergence = self._result, self._divergence
         divergence.interrupt()
-        result.samples = len(self._ticks)
         result.departures = divergence.ordered()
         result.findings = divergence.findings()
         result.first = divergence.first

@@ -27,7 +27,8 @@ def _outcome(replayed: Replayed) -> str:
     if not replayed.stretches:
         return "nothing was compared"
     if replayed.first is None:
-        return f"identical {how} over {replayed.seconds:.1f} s, {replayed.compared} samples"
+        part = "" if replayed.compared == replayed.samples else f" of {replayed.samples}"
+        return f"identical {how} over {replayed.seconds:.1f} s, {replayed.compared}{part} samples"
     since = min([replayed.first, *(one.finding.since for one in replayed.findings if not replayed.first_exact)])
     before = "bit for bit" if replayed.first_exact else "within noise"
     what = [_what(replayed.departures[0])] if replayed.departures else []
@@ -117,7 +118,7 @@ def document(replayed: Replayed) -> dict[str, Any]:
 
     return {
         "verdict": verdict(replayed),
-        "identical": replayed.first is None,
+        "identical": bool(replayed.stretches) and replayed.first is None,
         "first": None if replayed.first is None else _instant(replayed.first) | {"exact": replayed.first_exact},
         "compared": {"samples": replayed.compared, "seconds": replayed.seconds},
         "stretches": [

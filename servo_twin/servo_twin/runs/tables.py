@@ -63,7 +63,7 @@ def rows_of(record: Record, catalogue: Catalogue) -> Rows | None:
         return None
     if TICK in found and TIME not in found:
         found = {TIME: found[TICK] * (PERIOD_NS * 1e-9), **found}
-    found = {LOG_TIME: np.full(len(next(iter(found.values()))), record.time_ns), **found}
+    found = {LOG_TIME: np.full(len(next(iter(found.values()), ())), record.time_ns), **found}
     variables = catalogue.variables
     known = {column: variables[base].unit for column in found if (base := column.partition("[")[0]) in variables}
     return Rows(stream, found, {**known, **_TIME_UNITS, **units})
