@@ -208,12 +208,13 @@ def test_an_exception_during_the_start_ends_in_a_reset(elf: bytes, tmp_path: Pat
 
 
 def _answers(board: Board) -> set[int]:
-    """Statuses of what the host does with variables of the software: read, write, sample."""
+    """Statuses of what the host does with variables of the software: read, write, sample, set an estimate."""
     current = board.catalogue["axis1.i_q"]
     accesses: list[Callable[[], object]] = [
         lambda: board.read("axis1.faults"),
         lambda: board.write("cmd.enable", [0, 0]),
         lambda: board.sample(0, [(current, 0)], 10),
+        lambda: board.set_winding(0, 25.0),
     ]
     statuses = set()
     for access in accesses:
@@ -241,6 +242,15 @@ def test_a_board_that_starts_again_is_busy(elf: bytes) -> None:
                     assert _answers(other) == answers
         assert seen == [{0}, {BUSY}, {0}]
         assert faults(board) == [["WATCHDOG"], ["WATCHDOG"]]
+
+
+def test_a_record_has_the_ticks_of_the_software_that_runs(elf: bytes) -> None:
+    """Not the memory of the software that a reset has ended, nor that of the next one before its first tick."""
+    with enabled(new_board(elf)) as board:
+        board.inject(StalledCore(0.2))
+        ticks = board.record(700 * MS)["tick"]
+    assert ticks.tolist() == list(range(8, 8 * len(ticks) + 8, 8))
+    assert len(ticks) > 100
 
 
 # ---- the fault matrix ----------------------------------------------------------------------------------------------

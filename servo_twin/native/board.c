@@ -50,15 +50,18 @@ uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint1
     return board_software_write(board, address, data, size);
 }
 
-void board_set_winding(board_t *board, int axis, double celsius)
+uint8_t board_set_winding(board_t *board, int axis, double celsius)
 {
-    board_warm_winding(board, axis, celsius);
-    board_set_winding_estimate(board, axis, celsius);
+    const uint8_t status = board_set_winding_estimate(board, axis, celsius);
+    if (status == FM_OK) {
+        board_warm_winding(board, axis, celsius);
+    }
+    return status;
 }
 
-void board_set_winding_estimate(board_t *board, int axis, double celsius)
+uint8_t board_set_winding_estimate(board_t *board, int axis, double celsius)
 {
-    board_software_set_winding(board, axis, (frac32_t)(celsius / 256.0 * 2147483648.0));
+    return board_software_set_winding(board, axis, (frac32_t)(celsius / 256.0 * 2147483648.0));
 }
 
 const char *board_drive_shaft(board_t *board, int axis, double theta, double omega, double seconds)

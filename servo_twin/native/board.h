@@ -196,11 +196,12 @@ void board_set_encoder(board_t *board, int axis, int connected); /* 0: both line
 void board_cut_encoder(board_t *board, int axis,
                        int line); /* one line stuck low, 0: A, 1: B; board_set_encoder repairs */
 void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B */
-/* Set the temperature of a winding and the firmware's estimate of it [deg C]. */
-void board_set_winding(board_t *board, int axis, double celsius);
+/* Set the temperature of a winding and the firmware's estimate of it [deg C]. FreeMASTER status: busy, and nothing is set, while a
+ * program that is executed starts. */
+uint8_t board_set_winding(board_t *board, int axis, double celsius);
 
-/* Set the firmware's estimate alone [deg C]. */
-void board_set_winding_estimate(board_t *board, int axis, double celsius);
+/* Set the firmware's estimate alone [deg C]; the status is the same. */
+uint8_t board_set_winding_estimate(board_t *board, int axis, double celsius);
 void board_set_magnet(board_t *board, int axis, double celsius); /* temperature [deg C] */
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 

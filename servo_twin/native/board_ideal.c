@@ -3,6 +3,8 @@
 
 #include <stdlib.h>
 
+#include "comm/status.h"
+
 board_t *board_new(const board_config_t *config)
 {
     board_t *board = (board_t *)calloc(1, sizeof *board);
@@ -57,9 +59,10 @@ uint8_t board_software_write(board_t *board, uint32_t address, const uint8_t *da
 
 const void *board_software_snapshot(board_t *board) { return &board->servo.snapshot; }
 
-void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
+uint8_t board_software_set_winding(board_t *board, int axis, frac32_t temperature)
 {
     board->servo.axis[axis].diagnosis.winding.temperature = temperature;
+    return FM_OK;
 }
 
 const char *board_error(const board_t *board) { return plant_too_fast(&board->chip.plant) ? SHAFT_TOO_FAST : NULL; }

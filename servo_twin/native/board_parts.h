@@ -86,7 +86,8 @@ uint64_t board_program_identity(const board_t *board);
 uint8_t board_software_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t board_software_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size);
 const void *board_software_snapshot(board_t *board);
-void board_software_set_winding(board_t *board, int axis, frac32_t temperature);
+/* FreeMASTER status: FM_BUSY while a program starts. */
+uint8_t board_software_set_winding(board_t *board, int axis, frac32_t temperature);
 
 /* board_advance, at most to the next slow tick. True if it has stopped there. */
 bool board_run_to_tick(board_t *board, uint64_t until_ns);

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "comm/status.h"
 #include "config/contract_gen.h"
 
 #include "board_pointers.h"
@@ -153,6 +154,8 @@ static void boot(void *self)
     board_boot(board);
 }
 
+static void program_starts(void *self) { ((board_t *)self)->tick = 0; }
+
 static void handler_begins(void *self) { update_pins((board_t *)self); }
 
 /* Clocks by which the handler takes longer. */
@@ -190,7 +193,7 @@ static uint32_t handler_ends(void *self, unsigned vector)
     return handler_ended(board, vector, program_tick(&board->program));
 }
 
-static const program_hooks_t hooks = {handler_begins, handler_ends};
+static const program_hooks_t hooks = {program_starts, handler_begins, handler_ends};
 
 static void background(void *self) { board_background((board_t *)self); }
 
@@ -343,14 +346,14 @@ const void *board_software_snapshot(board_t *board)
                                  : (const void *)&board->linked.servo.snapshot;
 }
 
-void board_software_set_winding(board_t *board, int axis, frac32_t temperature)
+uint8_t board_software_set_winding(board_t *board, int axis, frac32_t temperature)
 {
     boot_once(board);
     if (board->program.loaded) {
-        program_set_winding(&board->program, axis, temperature);
-    } else {
-        board->linked.servo.axis[axis].diagnosis.winding.temperature = temperature;
+        return program_set_winding(&board->program, axis, temperature);
     }
+    board->linked.servo.axis[axis].diagnosis.winding.temperature = temperature;
+    return FM_OK;
 }
 
 const char *board_error(const board_t *board)

@@ -171,6 +171,7 @@ static void power_up(program_t *program)
     program->initialised = false;
     program->clock = program->bus->now;
     arm_reset(&program->arm);
+    program->hooks->starts(program->bus->board);
 }
 
 /* One step of what the core does at its clock. */
@@ -323,9 +324,13 @@ uint32_t program_contract(const program_t *program)
     return hash;
 }
 
-void program_set_winding(program_t *program, int axis, int32_t temperature)
+uint8_t program_set_winding(program_t *program, int axis, int32_t temperature)
 {
+    if (!is_initialised(program)) {
+        return FM_BUSY;
+    }
     memcpy((uint8_t *)place(program, program->winding[axis], sizeof temperature), &temperature, sizeof temperature);
+    return FM_OK;
 }
 
 /* ---- load ----------------------------------------------------------------------------------------------------------- */

@@ -32,8 +32,9 @@ typedef struct {
     void (*reset)(void *chip); /* by software; NULL: not modelled */
 } program_chip_t;
 
-/* The handler of a vector begins, or has ended; the result are clocks by which it takes longer. */
+/* The program starts, out of reset. The handler of a vector begins, or has ended; the result are clocks by which it takes longer. */
 typedef struct {
+    void (*starts)(void *board);
     void (*begins)(void *board);
     uint32_t (*ends)(void *board, unsigned vector);
 } program_hooks_t;
@@ -82,6 +83,7 @@ uint32_t program_tick(const program_t *program);
 /* Hash of its table of variables. */
 uint32_t program_contract(const program_t *program);
 
-void program_set_winding(program_t *program, int axis, int32_t temperature);
+/* FM_BUSY while it starts. */
+uint8_t program_set_winding(program_t *program, int axis, int32_t temperature);
 
 #endif

@@ -31,7 +31,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.trace import Trace
 from servo_msgs_py.units import SLOW_PERIODS, TICK, TICK_NS
 
-from servo_twin.board_memory import OUT_OF_RANGE, BoardError, BoardMemory, SimulationError
+from servo_twin.board_memory import OUT_OF_RANGE, BoardError, BoardMemory, SimulationError, status_text
 from servo_twin.board_sampler import BoardSampler
 from servo_twin.board_state import BoardState
 from servo_twin.core_speed import CoreSpeed
@@ -865,9 +865,10 @@ class Board:
         ------
         ValueError
             If the value is outside the range of the variable.
+        BoardError
+            With status `BUSY`, while an executed program starts after a reset; nothing is set.
         """
-        self._check_winding(axis, celsius)
-        self._lib.board_set_winding(self._board, _axis_index(axis), celsius)
+        self._set_winding(self._lib.board_set_winding, axis, celsius)
 
     def set_magnet(self, axis: int, celsius: float) -> None:
         """Set the temperature of a magnet [deg C]; it then follows the winding with time constant `magnet_time`."""
@@ -875,13 +876,14 @@ class Board:
 
     def set_winding_estimate(self, axis: int, celsius: float) -> None:
         """Set the estimate of the firmware, not the temperature of the motor [deg C]; errors: see `set_winding`."""
-        self._check_winding(axis, celsius)
-        self._lib.board_set_winding_estimate(self._board, _axis_index(axis), celsius)
+        self._set_winding(self._lib.board_set_winding_estimate, axis, celsius)
 
-    def _check_winding(self, axis: int, celsius: float) -> None:
+    def _set_winding(self, take: Any, axis: int, celsius: float) -> None:
         span = self.catalogue[f"{axis_name(axis)}.winding_temperature"]
         if not span.minimum <= celsius <= span.maximum:
             raise ValueError(f"{celsius:g} deg C is not within {span.minimum:g} .. {span.maximum:g}")
+        if status := take(self._board, _axis_index(axis), celsius):
+            raise BoardError(f"winding temperature of axis {axis}: {status_text(status)}", status)
 
     def connect_motor(self, axis: int, connected: bool = True) -> None:
         """Connect or disconnect the motor cable of an axis."""
