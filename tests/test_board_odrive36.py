@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import serial
 from servo_msgs_py.board_description import VARIABLE, BoardDescription
+from servo_msgs_py.board_port import choose, place
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.text_file import read_toml
@@ -251,6 +252,58 @@ def test_a_record_has_the_ticks_of_the_software_that_runs(elf: bytes) -> None:
         ticks = board.record(700 * MS)["tick"]
     assert ticks.tolist() == list(range(8, 8 * len(ticks) + 8, 8))
     assert len(ticks) > 100
+
+
+def test_a_brown_out_ends_in_a_board_at_rest(elf: bytes) -> None:
+    """Nothing drives the motors from the first instant; the software starts as at power-on and waits for the host."""
+    with enabled(new_board(elf)) as board:
+        for axis in (0, 1):
+            choose(board, "cmd.mode", axis, "SPEED")
+        board.write("cmd.speed", [100.0, -100.0])
+        board.run(0.2)
+        services = board.stats().watchdog_services
+        assert abs(board.truth(0).omega_m) > 90.0
+        began = board.time_ns
+        board.brown_out(0.05)
+        board.run(0.045)
+        assert [board.truth(axis).i_q for axis in (0, 1)] == pytest.approx([0.0, 0.0], abs=1e-6)
+        assert board.stats().watchdog_services == services
+        board.serial_in(GET_TABLE)
+        while _answers(board) == {BUSY}:
+            board.run(0.001)
+            with board.copy() as other:
+                assert _answers(other) == _answers(board)
+        assert 70 * MS < board.time_ns - began < 90 * MS  # the gate drivers take 20 ms
+        assert board.serial_out() == b""
+        speed = board.truth(0).omega_m
+        board.run(0.1)
+        assert faults(board) == [[], []]
+        assert [place(board, axis) for axis in (0, 1)] == ["STOP", "STOP"]
+        assert 0.0 < board.truth(0).omega_m < speed
+        board.serial_in(GET_TABLE)
+        board.run(0.02)
+        assert board.serial_out()[:3] == b"+\x40\x07"
+
+
+def test_a_brown_out_in_a_save_leaves_the_stored_values(board: Board) -> None:
+    board.run(0.05)
+    board.write("storage.request", [1, 7])
+    board.run(0.5)
+    board.write("storage.request", [1, 8])
+    board.run(0.1)
+    assert board.read("storage.state") != 0
+    board.brown_out(0.0)
+    board.run(0.1)
+    assert board.read("storage.source") == 1
+    assert faults(board) == [[], []]
+
+
+def test_a_brown_out_needs_the_executed_chip() -> None:
+    with new_board(None) as board:
+        with pytest.raises(BoardError, match="odrive36 that executes an ELF file"):
+            board.brown_out(0.1)
+        with pytest.raises(ValueError, match="at least 0"):
+            board.brown_out(-1.0)
 
 
 # ---- the fault matrix ----------------------------------------------------------------------------------------------

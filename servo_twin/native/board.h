@@ -175,6 +175,10 @@ void board_change_plant(board_t *board, const board_config_t *config);
 void board_truth(const board_t *board, int axis, board_truth_t *truth);
 void board_set_load(board_t *board, int axis, double torque); /* external load torque, signed [N m] */
 void board_set_supply(board_t *board, double volts); /* open-circuit supply voltage [V] */
+
+/* The supply of the chip falls below its reset level for some time [s], that of the bus does not: registers and memory are lost, then
+ * the software starts. NULL, or why this board cannot. */
+const char *board_brown_out(board_t *board, double seconds);
 void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft locked */
 void board_obstruct_shaft(board_t *board, int axis, double below, double above); /* end stops, from here [rad] */
 

@@ -203,6 +203,13 @@ void board_stall_core(board_t *board, double seconds)
     board->chip.stalled_ns = board->chip.now_ns + (uint64_t)(seconds * 1e9);
 }
 
+const char *board_brown_out(board_t *board, double seconds)
+{
+    (void)board;
+    (void)seconds;
+    return BOARD_NO_BROWN_OUT;
+}
+
 void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared)
 {
     plant_set_fault(&board->chip.plant, fault, cleared);

@@ -95,6 +95,8 @@ bool board_run_to_tick(board_t *board, uint64_t until_ns);
 /* Injected faults: cut wire (board_pin_t), stalled core [s], faults of the plant. */
 void board_cut_wire(board_t *board, int axis, int pin, bool cut);
 void board_stall_core(board_t *board, double seconds);
+
+#define BOARD_NO_BROWN_OUT "a brown-out is modelled for the board odrive36 that executes an ELF file only"
 void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared);
 
 /* Drive the shaft of an axis without a second mass: parameters as board_drive_shaft. */

@@ -576,6 +576,17 @@ void board_stall_core(board_t *board, double seconds)
     board->stall_clocks = (uint32_t)(seconds * 1e9 * BOARD_CLOCK_MHZ / 1000.0);
 }
 
+const char *board_brown_out(board_t *board, double seconds)
+{
+    boot_once(board);
+    if (!program_brown_out(&board->program, board_clocks((uint64_t)(seconds * 1e9)))) {
+        return BOARD_NO_BROWN_OUT;
+    }
+    board->stall_clocks = 0;
+    chip_plant_changed(&board->chip);
+    return NULL;
+}
+
 void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared)
 {
     switching_set_fault(&board->plant, fault, cleared);

@@ -8,6 +8,7 @@
 #include "comm/status.h"
 
 #define DATA_BASE 0x60000000u /* of a call: bytes of the host */
+#define LOST 0xA5 /* contents of a memory without supply: any */
 
 /* The program is where most instructions run: the flash, or RAM. The flash is behind the RAMs then. */
 enum { REGION_PROGRAM, REGION_RAM, REGION_RAM_2, REGION_BOOT, REGION_DATA, REGIONS };
@@ -172,6 +173,24 @@ static void power_up(program_t *program)
     program->clock = program->bus->now;
     arm_reset(&program->arm);
     program->hooks->starts(program->bus->board);
+}
+
+bool program_brown_out(program_t *program, uint64_t clocks)
+{
+    bus_t *bus = program->bus;
+    jmp_buf within;
+    if (!program->loaded || program->kind->power_on == NULL) {
+        return false;
+    }
+    memcpy(&within, &bus->escape, sizeof within);
+    if (!bus->failed && setjmp(bus->escape) == 0) {
+        program->kind->power_on(program->chip);
+        memset(program->ram, LOST, program->ram_used);
+        power_up(program);
+        program->clock += clocks;
+    }
+    memcpy(&bus->escape, &within, sizeof within);
+    return true;
 }
 
 /* One step of what the core does at its clock. */

@@ -30,6 +30,7 @@ typedef struct {
     bool (*write)(void *chip, uint32_t address, unsigned size, uint32_t value);
     void (*catch_up)(void *chip); /* at the end of a run; NULL: nothing to do */
     void (*reset)(void *chip); /* by software; NULL: not modelled */
+    void (*power_on)(void *chip); /* its reset by the supply; NULL: not modelled */
 } program_chip_t;
 
 /* The program starts, out of reset. The handler of a vector begins, or has ended; the result are clocks by which it takes longer. */
@@ -65,6 +66,9 @@ void program_free(program_t *program);
 
 /* As chip_run. */
 void program_run(program_t *program, uint64_t until);
+
+/* The supply of the chip is too low for some clocks; then the program starts. False: not modelled. */
+bool program_brown_out(program_t *program, uint64_t clocks);
 
 /* servo_read and servo_write of the program. FM_BUSY while it starts. */
 uint8_t program_read(program_t *program, uint32_t address, uint8_t *data, uint16_t size);

@@ -767,6 +767,24 @@ class Board:
         self.plant = self.plant.with_bus(u_source=volts)
         self._lib.board_set_supply(self._board, volts)
 
+    def brown_out(self, seconds: float) -> None:
+        """Let the supply of the chip fall below its reset level for some time [s]; that of the bus does not.
+
+        Registers and memory are lost, and the pins are inputs; then the software starts as at power-on.
+
+        Raises
+        ------
+        ValueError
+            If the time is negative or not finite.
+        BoardError
+            If it is not modelled: only a board odrive36 that executes an ELF file has it.
+        """
+        if not 0.0 <= seconds < math.inf:
+            raise ValueError(f"brown-out of {seconds} s: the time must be finite and at least 0")
+        problem = self._lib.board_brown_out(self._board, seconds)
+        self._check()
+        self._check_image(problem)
+
     def lock_shaft(self, axis: int, locked: bool = True) -> None:
         """Lock or release the shaft of an axis."""
         self._lib.board_set_shaft(self._board, _axis_index(axis), int(locked))

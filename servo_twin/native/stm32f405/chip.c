@@ -348,6 +348,8 @@ static void signal_reset(void *self, soc_reset_t cause)
     longjmp(chip_of(self)->soc.bus.escape, ESCAPE_RESET);
 }
 
+void chip_power_on(void *self) { reset_all(chip_of(self), SOC_RESET_POWER_ON); }
+
 void chip_reset_by_software(void *self) { signal_reset(self, SOC_RESET_SOFTWARE); }
 
 static const soc_signals_t signals = {
@@ -436,6 +438,6 @@ void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment
     flash_init(&chip->flash_control.flash, config->flash, config->seed);
     chip->flash_control.busy_until = CHIP_NEVER;
     if (setjmp(soc->bus.escape) == 0) {
-        reset_all(chip, SOC_RESET_POWER_ON);
+        chip_power_on(chip);
     }
 }

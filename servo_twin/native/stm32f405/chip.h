@@ -52,6 +52,7 @@ void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment
 bool chip_load(void *chip, uint32_t address, unsigned size, uint32_t *value);
 bool chip_store(void *chip, uint32_t address, unsigned size, uint32_t value);
 void chip_reset_by_software(void *chip); /* does not return */
+void chip_power_on(void *chip); /* reset by the supply: power-on, brown-out */
 
 /* The memory of the program shows the storage from now on. */
 void chip_show_storage(chip_t *chip);

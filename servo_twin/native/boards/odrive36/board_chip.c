@@ -122,6 +122,7 @@ const program_chip_t board_program_chip = {
     .read = chip_load,
     .write = chip_store,
     .reset = chip_reset_by_software,
+    .power_on = chip_power_on,
 };
 
 /* ---- life ----------------------------------------------------------------------------------------------------------- */
