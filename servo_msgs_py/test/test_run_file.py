@@ -189,7 +189,7 @@ def test_nothing_is_overwritten_and_a_type_without_definition_is_refused(tmp_pat
 @pytest.mark.parametrize("storage", StoragePlugin)
 @pytest.mark.parametrize("compression", [None, CompressionMode.MESSAGE, CompressionMode.FILE])
 def test_bags_of_others_are_read(tmp_path: Path, storage: StoragePlugin, compression: CompressionMode | None) -> None:
-    expected = messages(40)
+    expected = messages(60)  # the clock jumps back
     bag(tmp_path / "bag", expected, storage, compression)
     reader = RunReader(tmp_path / "bag")
     assert list(reader.records()) == expected
@@ -198,6 +198,44 @@ def test_bags_of_others_are_read(tmp_path: Path, storage: StoragePlugin, compres
     if compression is None:
         (tmp_path / "bag" / "metadata.yaml").unlink()  # its recorder was killed
         assert list(RunReader(tmp_path / "bag").records()) == expected
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+@pytest.mark.parametrize("compression", [None, CompressionMode.MESSAGE, CompressionMode.FILE])
+def test_damaged_bags_of_others_are_read_or_refused(
+    tmp_path: Path, storage: StoragePlugin, compression: CompressionMode | None
+) -> None:
+    """Cut off or changed anywhere, with and without metadata: messages, what is missing, or one error."""
+    bag(tmp_path / "bag", messages(90), storage, compression)
+    (path,) = (file for file in (tmp_path / "bag").iterdir() if file.suffix != ".yaml")
+    content, chance = path.read_bytes(), random.Random(1)
+    for number in range(60):
+        if number == 30:
+            (tmp_path / "bag" / "metadata.yaml").unlink()
+        damaged = bytearray(content[: chance.randrange(len(content)) if number % 3 else None])
+        for _ in range(chance.randrange(1, 30) if damaged and number % 2 else 0):
+            damaged[chance.randrange(len(damaged))] ^= 1 << chance.randrange(8)
+        path.write_bytes(damaged)
+        try:
+            reader = RunReader(tmp_path / "bag")
+            found = list(reader.records())
+        except RunFileError as error:
+            assert str(path) in str(error)  # noqa: PT017
+        else:
+            assert len(found) <= 90
+            only_cut = number % 3 and not number % 2
+            assert reader.troubles or len(found) == 90 or not only_cut
+
+
+def test_an_sqlite_bag_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
+    bag(tmp_path / "bag", messages(2000), StoragePlugin.SQLITE3)
+    path = tmp_path / "bag" / "bag.db3"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    reader = RunReader(path)
+    found = list(reader.records())
+    assert len(found) > 500
+    assert found == messages(len(found))
+    assert reader.troubles == [f"{path} is damaged, what is before is read: database disk image is malformed"]
 
 
 def test_segments_are_one_recording(tmp_path: Path) -> None:
@@ -296,7 +334,7 @@ def test_what_cannot_be_read_is_refused_with_a_remedy(tmp_path: Path) -> None:
         "run.bag": "rosbags-convert",
         "run.csv": "give a .mcap",
         "text.mcap": "is no MCAP file; give",
-        "text.db3": "text.db3: Cannot open database",
+        "text.db3": "text.db3 is no bag that can be read: file is not a database; give",
         ".": "several recordings; give one: text.db3, text.mcap",
     }.items():
         with pytest.raises(RunFileError, match=text):

@@ -146,6 +146,20 @@ def test_messages_out_of_order_are_no_reset_of_the_board(
     assert not (tmp_path / "tables" / "servo.snapshot.2.csv").exists()
 
 
+@pytest.mark.parametrize("storage", StoragePlugin)
+@pytest.mark.parametrize("jump", [-0.1, -1.0, 3600.0])
+def test_a_clock_that_jumps_changes_nothing(
+    run: tuple[Path, Records], tmp_path: Path, capsys: pytest.CaptureFixture[str], storage: StoragePlugin, jump: float
+) -> None:
+    middle = len(run[1]) // 2
+    later = [record._replace(time_ns=record.time_ns + round(jump * 1e9)) for record in run[1][middle:]]
+    path = bag(tmp_path, [*run[1][:middle], *later], storage)
+    result = replayed(path, capsys)
+    assert result["verdict"].startswith("identical bit for bit over")
+    assert " of " not in result["verdict"]
+    assert main(["compare", str(run[0]), str(path)]) == 0
+
+
 def test_a_reset_is_found_also_when_the_clock_jumps() -> None:
     day = 86_400_000_000_000
     for jump in (0, day, -day):

@@ -6,14 +6,18 @@ What is missing is said in `RunReader.troubles`.
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from tempfile import NamedTemporaryFile
+from typing import IO, Any, Final, NamedTuple, cast
 from zlib import crc32
 
 import yaml
+import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import (
@@ -27,16 +31,16 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema
 from mcap.stream_reader import read_magic
 from mcap.well_known import MessageEncoding
-from rosbags.rosbag2 import Reader as BagReader
-from rosbags.rosbag2 import ReaderError
-from zstandard import ZstdDecompressor, ZstdError
+from zstandard import FRAME_HEADER, ZstdDecompressor, ZstdError
 
 from servo_msgs_py.run_file.series import segment, segments, split
+from servo_msgs_py.run_file.sqlite_bag import rows
 from servo_msgs_py.text_file import read_text
 from servo_msgs_py.topics import RUN_LOST
 
 _METADATA: Final = "metadata.yaml"
 RUN_SUFFIXES: Final = (".mcap", ".db3")
+_PACKED: Final = ".zstd"  # suffix behind these of a file that rosbag2 has compressed
 _REMEDY: Final = "give a .mcap or .db3 file, or the folder of a bag"
 
 _DAMAGE: Final = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError)
@@ -45,6 +49,12 @@ _DAMAGE: Final = (McapError, ZstdError, struct.error, ValueError, RuntimeError, 
 
 _BYTES_MAX: Final = 256_000_000
 """Largest record of an MCAP file, packed and unpacked [bytes]."""
+
+_SQLITE_MAX: Final = 1 << 40
+"""Largest SQLite file that is completed with empty pages, which take no room on the disk [bytes]."""
+
+_PIECE: Final = 1 << 20
+"""Of a file that is copied [bytes]."""
 
 _LOST: Final = f"/{RUN_LOST}"
 
@@ -94,7 +104,7 @@ class RunReader:
     def __init__(self, path: Path) -> None:
         self._missing: list[str] = []
         self.files: list[Path] = self._folder(path) if path.is_dir() else self._series(path)
-        """Files that are read, in order; of a compressed bag its folder."""
+        """Files that are read, in order."""
         self.troubles: list[str] = []
         """What was missing in the last `records`, for people; complete at their end."""
 
@@ -117,7 +127,7 @@ class RunReader:
         wanted = None if topics is None else frozenset(topics)
         lost = 0
         for file in self.files:
-            for record in self._mcap(file, wanted) if file.suffix == ".mcap" else self._bag(file, wanted):
+            for record in self._file(file, wanted):
                 if record.topic.endswith(_LOST):
                     lost = int.from_bytes(record.data[4:12], "little")
                     if wanted is not None and record.topic not in wanted:
@@ -142,21 +152,18 @@ class RunReader:
         return files[:count]
 
     def _folder(self, folder: Path) -> list[Path]:
-        about = self._metadata(folder)
-        if str(about.get("compression_mode")).upper() in ("FILE", "MESSAGE"):
-            return [folder]
-        listed = [folder / Path(str(name)).name for name in about.get("relative_file_paths") or []]
+        listed = [folder / Path(str(name)).name for name in self._metadata(folder).get("relative_file_paths") or []]
         self._missing += [f"{file}, which {_METADATA} lists, is missing" for file in listed if not file.exists()]
         files = [file for file in listed if file.exists()]
         if files:
             return files
-        found = [file for suffix in RUN_SUFFIXES for file in folder.glob(f"*{suffix}")]
-        names = sorted({split(file)[0] + file.suffix for file in found})
+        found = [file for suffix in RUN_SUFFIXES for file in folder.glob(f"*{suffix}*") if _kind(file) == suffix]
+        names = sorted({split(_unpacked_name(file))[0] + _kind(file) for file in found})
         if not names:
             raise RunFileError(f"{folder} contains no recording; {_REMEDY}")
         if len(names) > 1:
             raise RunFileError(f"{folder} contains several recordings; give one: {', '.join(names)}")
-        return sorted(found, key=split)
+        return sorted(found, key=lambda file: split(_unpacked_name(file)))
 
     def _metadata(self, folder: Path) -> Mapping[str, Any]:
         path = folder / _METADATA
@@ -170,10 +177,24 @@ class RunReader:
             return {}
 
     # ---- contents
+    def _file(self, file: Path, wanted: frozenset[str] | None) -> Iterator[Record]:
+        """Messages of a file; rosbag2 may have compressed the file, or each message."""
+        damaged = 0
+        for record in self._mcap(file, wanted) if _kind(file) == ".mcap" else self._sqlite(file, wanted):
+            if record.data.startswith(FRAME_HEADER):
+                try:
+                    yield record._replace(data=ZstdDecompressor().decompress(record.data, _BYTES_MAX))
+                except ZstdError:
+                    damaged += 1
+            else:
+                yield record
+        if damaged:
+            self.troubles.append(f"{file}: {damaged} damaged message{'s' if damaged > 1 else ''} left out")
+
     def _mcap(self, file: Path, wanted: frozenset[str] | None) -> Iterator[Record]:
         channels = _Channels(wanted)
         damaged, entry = 0, None
-        with file.open("rb") as stream:
+        with _opened(file) as stream:
             try:
                 for entry in _entries(stream, bytes_max=_BYTES_MAX):
                     if isinstance(entry, Chunk):
@@ -196,21 +217,75 @@ class RunReader:
                 self.troubles.append(f"{file} ends at a record of more than {_BYTES_MAX} bytes, the largest size")
             except _DAMAGE as error:
                 damaged += not isinstance(error, EndOfFile)
-        self.troubles += [f"{file}: {topic} is not read, its encoding is not cdr" for topic in sorted(channels.foreign)]
+        self._foreign(file, channels.foreign)
         if damaged:
             self.troubles.append(f"{file}: {damaged} damaged chunk{'s' if damaged > 1 else ''} left out")
         if not isinstance(entry, Footer):
             self.troubles.append(f"{file} is not complete: its recorder was killed, or the file was cut off")
 
-    def _bag(self, file: Path, wanted: frozenset[str] | None) -> Iterator[Record]:
+    def _sqlite(self, file: Path, wanted: frozenset[str] | None) -> Iterator[Record]:
+        foreign: set[str] = set()
+        first = True
         try:
-            with BagReader(file) as reader:
-                connections = [each for each in reader.connections if wanted is None or each.topic in wanted]
-                if connections:
-                    for connection, time_ns, data in reader.messages(connections):
-                        yield Record(connection.topic, connection.msgtype, time_ns, data)
-        except ReaderError as error:
-            raise RunFileError(f"{file}: {error}; {_REMEDY}") from None
+            with _complete_file(file) as complete:
+                for row in rows(complete, wanted):
+                    first = False
+                    if row.encoding == MessageEncoding.CDR:
+                        yield Record(row.topic, row.type, row.time_ns, row.data)
+                    else:
+                        foreign.add(row.topic)
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            if first:
+                raise RunFileError(f"{file} is no bag that can be read: {error}; {_REMEDY}") from None
+            self.troubles.append(f"{file} is damaged, what is before is read: {error}")
+        self._foreign(file, foreign)
+
+    def _foreign(self, file: Path, topics: Collection[str]) -> None:
+        self.troubles += [f"{file}: {topic} is not read, its encoding is not cdr" for topic in sorted(topics)]
+
+
+def _unpacked_name(file: Path) -> Path:
+    return file.with_suffix("") if file.suffix == _PACKED else file
+
+
+def _kind(file: Path) -> str:
+    """Suffix of a file without that of its compression."""
+    return _unpacked_name(file).suffix
+
+
+@contextmanager
+def _complete_file(file: Path) -> Iterator[Path]:
+    """An SQLite file; a temporary copy if it is packed, or cut off: with empty pages at its end it can be read."""
+    if file.suffix != _PACKED and file.stat().st_size >= _pages(file)[1]:
+        yield file
+        return
+    with _opened(file) as stream, NamedTemporaryFile() as copy:
+        with suppress(ZstdError):  # what is before the damage is read
+            while data := stream.read(_PIECE):
+                copy.write(data)
+        copy.flush()
+        path = Path(copy.name)
+        (page, whole), size = _pages(path), path.stat().st_size
+        if size < whole:
+            copy.truncate(size // page * page)
+            copy.truncate(whole)
+        yield path
+
+
+def _opened(file: Path) -> IO[bytes]:
+    """A file that is unpacked as it is read."""
+    return cast("IO[bytes]", zstandard.open(file)) if file.suffix == _PACKED else file.open("rb")
+
+
+def _pages(file: Path) -> tuple[int, int]:
+    """Size of a page and of all pages of an SQLite file by its head [bytes]; 1 and 0 if it has none."""
+    with file.open("rb") as stream:
+        head = stream.read(32)
+    if len(head) < 32:
+        return 1, 0
+    page, count = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+    page = page if page > 1 else 1 << 16
+    return page, min(page * count, _SQLITE_MAX)
 
 
 class _Channels:
