@@ -32,6 +32,7 @@ SENSORS: Final = (
     "truth.axis2.brake_holds axis2.home_state axis2.position"
 )
 STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
+SPATIAL: Final = '<tendon><spatial name="rope"><site site="hook"/><site site="end"/></spatial></tendon>'
 SEARCHED: Final = 2600  # steps until both rotors are found
 
 
@@ -313,12 +314,55 @@ def test_joint_that_is_too_fast_for_an_encoder_is_named_once(warnings: list[str]
     assert "actuator 0: the motion is not a number, or faster than 2000 rad/s" in warnings[0]
 
 
-def test_two_motors_of_a_board_turn_one_joint() -> None:
-    text = arm().replace('joint="elbow"', 'joint="shoulder"').replace('armature="0.08"', 'armature="0.2"')
-    model, data = started(text)
-    run(model, data, 3000, lambda _: [20.0, 20.0])
-    assert data.qpos[0] * GEAR == pytest.approx(20.0, abs=0.5)
-    assert board(data)["axis1.faults"] == 0.0
+def one_shaft(tie: str, friction: float) -> str:
+    """Text of a model whose motors turn one shaft: by one joint, an equality of two joints, or a weld."""
+    rotors = [axis.inertia * GEAR**2 for axis in PLANT.axes]
+    joint = f'axis="0 0 1" damping="0.02" frictionloss="{friction}"'
+    geom = '<geom size="0.05" mass="0.2" contype="0" conaffinity="0"/>'
+    second = "a" if tie == "joint" else "b"
+    bodies = (
+        f'<body name="a"><joint name="a" {joint} armature="{rotors[0] + (tie == "joint") * rotors[1]}"/>{geom}</body>'
+    )
+    if tie != "joint":
+        bodies += f'<body name="b"><joint name="b" {joint} armature="{rotors[1]}"/>{geom}</body>'
+    stiff = 'solref="0.004 1" solimp="0.99 0.999 0.001"'
+    ties = {
+        "joint": "",
+        "equality": f'<joint joint1="b" joint2="a" {stiff}/>',
+        "weld": f'<weld body1="a" body2="b" {stiff}/>',
+    }
+    return f"""
+      <mujoco>
+        <option timestep="0.001"/>
+        <extension><plugin plugin="servo.board"><instance name="board">
+          <config key="axis1" value="a"/><config key="axis2" value="b TORQUE"/>
+          {'<config key="shaft" value="SHARED"/>' if tie == "weld" else ""}
+        </instance></plugin></extension>
+        <worldbody>{bodies}</worldbody>
+        <equality>{ties[tie]}</equality>
+        <actuator>
+          <plugin name="a" joint="a" gear="{GEAR}" plugin="servo.board" instance="board"/>
+          <plugin name="b" joint="{second}" gear="{GEAR}" plugin="servo.board" instance="board"/>
+        </actuator>
+      </mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("tie", "friction"), [("joint", 0.05), ("equality", 0.2), ("weld", 0.2), ("joint", 0.0), ("equality", 0.0)]
+)
+def test_two_motors_of_a_board_turn_one_shaft(tie: str, friction: float, warnings: list[str]) -> None:
+    """With friction the rotors are searched in turn; then one motor controls the angle, the other adds a torque."""
+    model = mujoco.MjModel.from_xml_string(one_shaft(tie, friction))
+    data = mujoco.MjData(model)
+    run(model, data, SEARCHED)
+    run(model, data, 1500, lambda _: [20.0, 0.002])
+    torques = []
+    for _ in range(200):
+        mujoco.mj_step(model, data)
+        torques.append(data.actuator_force.copy())
+    assert data.qpos * GEAR == pytest.approx(20.0, abs=0.05)
+    assert np.mean(torques, axis=0)[1] == pytest.approx(0.002, abs=2e-4)
+    assert warnings == []
 
 
 @pytest.mark.parametrize("mode", ["POSITION", "SPEED", "TRAJECTORY"])
@@ -547,6 +591,143 @@ def test_load_that_turns_the_shaft_before_the_search_is_named(warnings: list[str
     assert "actuator 0: the firmware waits in CALIB until the shaft rests, which turns at" in warnings[0]
 
 
+def test_delay_of_an_actuator_is_that_of_its_signal() -> None:
+    """Twenty steps later than without it, with the same bits; half a step less, against rounding."""
+    steps, number = 20, 300
+    text = arm("shoulder", "elbow SPEED")
+    plain = started(text)
+    delay = (steps - 0.5) * 0.0005
+    delayed = started(text.replace('gear="100.0"', f'gear="100.0" delay="{delay}" nsample="{steps + 2}"'))
+    signals = np.random.default_rng(1).uniform(-5.0, 5.0, (number, 2))
+    for k in range(number + steps):
+        for (model, data), index in ((plain, k - steps), (delayed, k)):
+            data.ctrl[:] = signals[min(max(0, index), number - 1)] if index >= 0 else 0.0
+            mujoco.mj_step(model, data)
+    assert plain[1].qpos.tobytes() == delayed[1].qpos.tobytes()
+    assert plain[1].plugin_state.tobytes() == delayed[1].plugin_state.tobytes()
+
+
+def test_limits_and_groups_are_those_of_the_options() -> None:
+    model, data = started(arm("shoulder SPEED"))
+    other = copy.copy(data)
+    data.ctrl[0] = 80.0  # ctrlrange: 60
+    run(model, data, 500)
+    assert GEAR * data.qvel[0] == pytest.approx(60.0, abs=3.0)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    run(model, data, 500)
+    assert GEAR * data.qvel[0] == pytest.approx(80.0, abs=3.0)
+    model.opt.disableactuator = 1  # of group 0
+    other.ctrl[0] = 20.0
+    run(model, other, 2)
+    assert other.actuator_force.tolist() == [0.0, 0.0]
+    model.opt.disableactuator = 2
+    run(model, other, 20)
+    assert abs(other.actuator_force[0]) > 0.0
+
+
+def test_halves_of_a_step_are_a_step() -> None:
+    model, data = started(arm("shoulder", "elbow SPEED").replace("implicitfast", "Euler"))
+    other = copy.copy(data)
+    run(model, data, 200, lambda _: [20.0, 5.0])
+    for _ in range(200):
+        mujoco.mj_step1(model, other)
+        other.ctrl[:] = [20.0, 5.0]
+        mujoco.mj_step2(model, other)
+    assert bits(other) == bits(data)
+
+
+def test_derivatives_leave_the_board_as_it_is(moving: tuple[Any, Any], warnings: list[str]) -> None:
+    model, data = moving[0], copy.copy(moving[1])
+    other = copy.copy(data)
+    matrix = np.zeros((4, 4))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, matrix, None, None, None)
+    assert np.isfinite(matrix).all()
+    for one in (data, other):
+        run(model, one, 100)
+    assert bits(data) == bits(other)
+    assert warnings == []
+
+
+@pytest.mark.parametrize("armature", ["actuator", "tendon"])
+def test_two_motors_move_a_beam_by_tendons(armature: str, warnings: list[str]) -> None:
+    """A gantry: each motor moves an end of the beam, which slides and yaws; its rotor is in one of two places."""
+    gear, half = 200.0, 0.4
+    rotors = [axis.inertia for axis in PLANT.axes]
+    at_tendon = [f'armature="{r * gear**2}"' if armature == "tendon" else "" for r in rotors]
+    at_actuator = [f'armature="{r}"' if armature == "actuator" else "" for r in rotors]
+    text = f"""
+      <mujoco>
+        <option timestep="0.0005"/>
+        <extension><plugin plugin="servo.board"><instance name="board">
+          <config key="axis1" value="left"/><config key="axis2" value="right"/>
+        </instance></plugin></extension>
+        <worldbody><body>
+          <joint name="y" type="slide" axis="0 1 0" damping="5" frictionloss="1"/>
+          <joint name="yaw" axis="0 0 1" damping="2" frictionloss="0.2"/>
+          <geom type="box" size="0.4 0.03 0.03" mass="2"/>
+        </body></worldbody>
+        <tendon>
+          <fixed name="left" {at_tendon[0]}><joint joint="y" coef="1"/><joint joint="yaw" coef="{-half}"/></fixed>
+          <fixed name="right" {at_tendon[1]}><joint joint="y" coef="1"/><joint joint="yaw" coef="{half}"/></fixed>
+        </tendon>
+        <actuator>
+          <plugin name="left" tendon="left" gear="{gear}" {at_actuator[0]} plugin="servo.board" instance="board"/>
+          <plugin name="right" tendon="right" gear="{gear}" {at_actuator[1]} plugin="servo.board" instance="board"/>
+        </actuator>
+      </mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    run(model, data, 5000)
+    run(model, data, 4000, lambda _: [30.0, 50.0])
+    assert data.qpos == pytest.approx([40.0 / gear, 20.0 / gear / (2.0 * half)], abs=5e-4)
+    assert warnings == []
+    with pytest.raises(ValueError, match="'left': the tendon has less than the inertia of its rotors"):
+        mujoco.MjModel.from_xml_string(text.replace(at_tendon[0] or at_actuator[0], ""))
+
+
+def test_rotor_in_the_armature_of_the_actuator() -> None:
+    text, own = arm(), arm()
+    for axis in PLANT.axes:
+        own = own.replace(f'armature="{axis.inertia * GEAR**2}"', "", 1)
+        own = own.replace('gear="100.0" plugin', f'gear="100.0" armature="{axis.inertia}" plugin', 1)
+    ends = []
+    for one in (text, own):
+        model, data = started(one)
+        run(model, data, 500, lambda _: [20.0, 5.0])
+        ends.append(GEAR * data.qpos)
+    assert ends[0] == pytest.approx(ends[1], abs=0.01)
+
+
+def test_controls_are_found_beside_actuators_with_several() -> None:
+    """The export of `<dcmotor>` writes actuators with two inputs."""
+    text = arm("shoulder", "elbow SPEED").replace(
+        "<actuator>",
+        '<actuator><dcmotor name="fan" joint="fan" motorconst="0.05" resistance="1" input="pos vel"/>',
+    )
+    fan = '<body><joint name="fan" armature="1e-4"/><geom size="0.01" contype="0" conaffinity="0"/></body>'
+    model, data = started(text.replace("<worldbody>", f"<worldbody>{fan}"))
+    run(model, data, 1000, lambda _: [0.0, 0.0, 90.0, 5.0])
+    assert GEAR * data.qpos[1] == pytest.approx(60.0, abs=0.2)  # ctrlrange
+    assert GEAR * data.qvel[2] == pytest.approx(5.0, abs=0.5)
+
+
+def test_model_that_is_attached_keeps_its_axes() -> None:
+    """Two arms with prefixes in one model: the names of the instance are those before."""
+    parent = mujoco.MjSpec()
+    parent.option.timestep = 0.0005
+    parent.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for prefix in ("left/", "right/"):
+        parent.attach(
+            mujoco.MjSpec.from_string(arm("shoulder", "elbow SPEED")), prefix=prefix, frame=parent.worldbody.add_frame()
+        )
+    model = parent.compile()
+    data = mujoco.MjData(model)
+    run(model, data, SEARCHED)
+    run(model, data, 1000, lambda _: [10.0, 5.0, 20.0, -5.0])
+    assert GEAR * data.qpos[[0, 2]] == pytest.approx([10.0, 20.0], abs=0.05)
+    assert GEAR * data.qvel[[1, 3]] == pytest.approx([5.0, -5.0], abs=0.5)
+
+
 def test_boards_do_not_share_inputs() -> None:
     """The third of three boards, without an actuator, has inputs behind those of the second one."""
 
@@ -589,6 +770,16 @@ def test_boards_do_not_share_inputs() -> None:
         ),
         (arm().replace('gear="100.0"', 'gear="0"', 1), "'axis1': the gear is 0"),
         (arm().replace('gear="100.0"', 'gear="nan"', 1), "'axis1': the gear is 0 or no number"),
+        (arm().replace('gear="100.0"', 'gear="100.0" dyntype="integrator"', 1), "'axis1': the actuator has an act"),
+        (arm().replace('gear="100.0"', 'gear="100.0" actdim="2"', 1), "'axis1': the actuator has an activation"),
+        (
+            arm()
+            .replace("<actuator>", SPATIAL + "<actuator>")
+            .replace('joint="shoulder" gear', 'tendon="rope" gear')
+            .replace("<worldbody>", '<worldbody><site name="hook" pos="1 0 0"/>')
+            .replace('<body pos="0 0 -0.3">', '<body pos="0 0 -0.3"><site name="end"/>'),
+            "'axis1': a motor turns a hinge or a slide, or pulls a fixed tendon",
+        ),
         (arm(config='<config key="plant.axis1.load_inertia" value="1e-5"/>'), "'shoulder': the axis has a second mass"),
         (arm(axis2=""), "a board has two axes"),
         (arm().replace('joint="elbow"', 'joint="shoulder"'), 'inertia of its rotors; write armature="0.2"'),
@@ -619,6 +810,11 @@ def test_boards_do_not_share_inputs() -> None:
         (
             arm(config='<config key="axis2.home" value="SWITCH_POSITIVE"/>'),
             "'elbow': homing to a switch, but the p",
+        ),
+        (arm(config='<config key="shaft" value="yes"/>'), "'shaft': write SHARED if"),
+        (
+            arm().replace('axis="0 -1 0"', 'type="ball"', 1).replace("0.3 -0.2", "1 0 0 0 0"),
+            "'axis1': a motor turns a hinge",
         ),
         (arm(config='<config key="level" value="registers"/>'), "'level': the plugin has a board at level ideal"),
         (arm(config='<config key="plant.axis3.r_s" value="1"/>'), "unrecognized attribute"),

@@ -32,6 +32,7 @@ def joint_model(
     transmission: str = 'joint="joint"',
     options: str = "",
     step: float = 0.0005,
+    first: str = "",
 ) -> Any:
     """Model of one joint with a body of 1 kg at the end of a massless rod, axis horizontal."""
     return mujoco.MjModel.from_xml_string(f"""
@@ -45,7 +46,7 @@ def joint_model(
           </body>
         </worldbody>
         <equality><joint name="block" joint1="joint" active="false" solref="0.002 1"/></equality>
-        <actuator><general name="motor" {transmission} {actuator}/></actuator>
+        <actuator>{first}<general name="motor" {transmission} {actuator}/></actuator>
       </mujoco>""")
 
 
@@ -224,14 +225,16 @@ def test_states_and_copies_continue_with_the_same_bits() -> None:
         assert copy.enable() == drives.enable()
 
 
-def test_control_signals_have_range_and_bits_of_the_firmware() -> None:
-    model = joint_model(f'dyntype="user" actdim="1" ctrlrange="-10 10" {ROTOR}')
+@pytest.mark.parametrize("first", ["", '<dcmotor joint="joint" motorconst="0.05" resistance="1" input="pos vel"/>'])
+def test_control_signals_have_range_and_bits_of_the_firmware(first: str) -> None:
+    """Also behind an actuator with two control signals."""
+    model = joint_model(f'dyntype="user" actdim="1" ctrlrange="-10 10" {ROTOR}', first=first)
     with Board(PLANT, seed=4) as board:
         drives = coupled(board, "SPEED", model)
-        drives.data.ctrl[0] = 1000.0
+        drives.data.ctrl[-1] = 1000.0
         drives.step()
         assert board.read("cmd.speed")[0] == pytest.approx(10.0, abs=1e-5)  # type: ignore[index]
-        drives.data.ctrl[0] = math.nan
+        drives.data.ctrl[-1] = math.nan
         with pytest.raises(SimulationError, match="actuator 'motor': the control signal is nan"):
             drives.step()
     with Board(PLANT, seed=4) as board:

@@ -14,27 +14,56 @@
 #define CALIB_MAX 1.0 /* of a shaft at rest: 0.1 [s] */
 #define SEARCH_SPEED 0.1 /* above that of a resting shaft; others turned at 1 to 250 [rad/s] */
 
+double drive_gear(const mjModel *m, int actuator) { return m->actuator_gear[6 * m->actuator_outadr[actuator]]; }
+
+int drive_joints(const mjModel *m, int actuator)
+{
+    return (m->actuator_trntype[actuator] == mjTRN_TENDON) ? m->tendon_num[m->actuator_trnid[2 * actuator]] : 1;
+}
+
+int drive_joint(const mjModel *m, int actuator, int k, double *ratio)
+{
+    const int target = m->actuator_trnid[2 * actuator];
+    const double gear = drive_gear(m, actuator);
+    if (m->actuator_trntype[actuator] == mjTRN_TENDON) {
+        const int wrap = m->tendon_adr[target] + k;
+        *ratio = gear * m->wrap_prm[wrap];
+        return m->wrap_objid[wrap];
+    }
+    *ratio = gear;
+    return target;
+}
+
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega)
 {
-    const int joint = m->actuator_trnid[2 * actuator];
-    const double gear = m->actuator_gear[6 * actuator];
-    *theta = gear * d->qpos[m->jnt_qposadr[joint]];
-    *omega = gear * d->qvel[m->jnt_dofadr[joint]];
+    *theta = 0.0;
+    *omega = 0.0;
+    for (int k = 0; k < drive_joints(m, actuator); k++) {
+        double ratio;
+        const int joint = drive_joint(m, actuator, k, &ratio);
+        *theta += ratio * d->qpos[m->jnt_qposadr[joint]];
+        *omega += ratio * d->qvel[m->jnt_dofadr[joint]];
+    }
 }
 
 double drive_inertia(const mjModel *m, mjData *d, int actuator)
 {
-    const int dof = m->jnt_dofadr[m->actuator_trnid[2 * actuator]];
-    const double gear = m->actuator_gear[6 * actuator];
+    double mobility = 0.0; /* acceleration by a torque of 1 N m at the motor */
     mj_markStack(d);
     mjtNum *force = mj_stackAllocNum(d, (size_t)m->nv);
     mjtNum *acceleration = mj_stackAllocNum(d, (size_t)m->nv);
     mju_zero(force, (int)m->nv);
-    force[dof] = gear;
+    for (int k = 0; k < drive_joints(m, actuator); k++) {
+        double ratio;
+        const int joint = drive_joint(m, actuator, k, &ratio);
+        force[m->jnt_dofadr[joint]] += ratio;
+    }
     mj_solveM(m, d, acceleration, force, 1);
-    const double inertia = 1.0 / (gear * acceleration[dof]);
+    for (int k = 0; k < m->nv; k++) {
+        mobility += force[k] * acceleration[k];
+    }
     mj_freeStack(d);
-    return inertia;
+    return 1.0 / mobility;
 }
 
 static double torque_constant(const exported_t *board, const drive_t *drive, int axis)
@@ -44,12 +73,25 @@ static double torque_constant(const exported_t *board, const drive_t *drive, int
     return 1.5 * exported_number(board, drive->pole_pairs) * truth.psi_m;
 }
 
-/* The control signal of an actuator, as MuJoCo clamps it. */
+/* The control signal of an actuator in the last step, as MuJoCo delays and clamps it. */
 static double signal_of(const mjModel *m, const mjData *d, int actuator)
 {
-    const double *range = m->actuator_ctrlrange + 2 * actuator;
-    const double signal = d->ctrl[actuator];
-    return m->actuator_ctrllimited[actuator] ? fmin(fmax(signal, range[0]), range[1]) : signal;
+    const int channel = m->actuator_ctrladr[actuator];
+    const double *range = m->actuator_ctrlrange + 2 * channel;
+    double signal = d->ctrl[channel];
+    if (m->actuator_delay[actuator] != 0.0) {
+        const double *kept =
+            mj_readCtrl(m, d, actuator, d->time - m->opt.timestep, &signal, m->actuator_history[2 * actuator + 1]);
+        signal = (kept != NULL) ? *kept : signal;
+    }
+    const bool limited = m->actuator_ctrllimited[channel] && (m->opt.disableflags & mjDSBL_CLAMPCTRL) == 0;
+    return (limited && !isnan(signal)) ? fmin(fmax(signal, range[0]), range[1]) : signal;
+}
+
+bool drive_disabled(const mjModel *m, int actuator)
+{
+    const int group = m->actuator_group[actuator];
+    return group >= 0 && group < 31 && ((unsigned)m->opt.disableactuator >> (unsigned)group & 1u) != 0;
 }
 
 static void warn(exported_result_t result)
@@ -208,8 +250,7 @@ void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_
 
 /* A model without sensors of the board shows nothing else of a fault. The firmware ends a search of a rotor that does not come to
  * rest by several of them. */
-static void watch_faults(const mjModel *m, const mjData *d, const drive_t *drive, coupled_axis_t *of,
-                         const exported_t *board)
+static void watch_faults(const mjModel *m, mjData *d, const drive_t *drive, coupled_axis_t *of, const exported_t *board)
 {
     const uint64_t faults = (uint64_t)exported_number(board, drive->faults);
     double theta;
@@ -222,10 +263,12 @@ static void watch_faults(const mjModel *m, const mjData *d, const drive_t *drive
         if (of->substate == SUBSTATE_ALIGN && fabs(omega) > SEARCH_SPEED) {
             mju_warning(
                 PLUGIN_NAME
-                ": actuator %d: fault %s in the rotor search, while the shaft turned at %g rad/s; if it did not "
-                "come to rest, give the joint the friction of the motor (frictionloss: friction in the plant "
-                "times gear), or take a smaller time step",
-                drive->actuator, exported_fault_name(bit), omega);
+                ": actuator %d: fault %s in the rotor search, while the shaft turned at %g rad/s with %.1f times the "
+                "inertia of its rotor, which should be below 4; if it did not come to rest, give the joint the friction of the motor (frictionloss: friction in the plant "
+                "times gear), or take a smaller time step; if both motors turn one shaft, write <config "
+                "key=\"shaft\" value=\"SHARED\"/>",
+                drive->actuator, exported_fault_name(bit), omega,
+                drive_inertia(m, d, drive->actuator) / exported_number(board, drive->inertia));
         } else {
             mju_warning(PLUGIN_NAME ": actuator %d: fault %s", drive->actuator, exported_fault_name(bit));
         }
@@ -250,21 +293,46 @@ static void watch_calibration(const mjModel *m, const mjData *d, const drive_t *
     }
 }
 
-void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,
-                   coupled_axis_t *of)
+static control_mode_t first_mode(const drive_t *drive)
 {
-    const double state = exported_number(board, drive->state);
-    if (state == STATE_STOP && exported_number(board, drive->enable) != 1.0) {
-        (void)exported_set(board, drive->mode_command,
-                           (drive->mode == CONTROL_MODE_TRAJECTORY || drive->home != HOME_METHOD_NONE)
-                               ? CONTROL_MODE_POSITION
-                               : drive->mode);
-        (void)exported_set(board, drive->enable, 1.0);
+    return (drive->mode == CONTROL_MODE_TRAJECTORY || drive->home != HOME_METHOD_NONE) ? CONTROL_MODE_POSITION
+                                                                                       : drive->mode;
+}
+
+/* Enable an axis once no other motor at its shaft searches. True when it has its mode. */
+static bool searched(exported_t *board, const drive_t drive[AXES], int axis, coupled_axis_t of[AXES])
+{
+    const drive_t *own = &drive[axis];
+    uint64_t *search = &of[axis].search;
+    const bool other_ended = !own->shares || of[1 - axis].search >= SEARCH_ENDED;
+    if (*search == SEARCH_WAITS && exported_number(board, own->state) == STATE_STOP && (axis == 0 || other_ended)) {
+        warn(exported_set(board, own->mode_command, own->shares ? CONTROL_MODE_POSITION : first_mode(own)));
+        warn(exported_set(board, own->enable, 1.0));
+        *search = SEARCH_RUNS;
     }
+    if (*search == SEARCH_RUNS && (of[axis].substate == SUBSTATE_SPIN || of[axis].faults != 0)) {
+        if (own->shares) { /* only a change in SPIN is a set-point, of no current */
+            warn(exported_set(board, own->mode_command, CONTROL_MODE_TORQUE));
+        }
+        *search = SEARCH_ENDED;
+    }
+    if (*search == SEARCH_ENDED && other_ended) {
+        warn(exported_set(board, own->mode_command, first_mode(own)));
+        *search = SEARCH_LEFT;
+    }
+    return *search == SEARCH_LEFT;
+}
+
+void drive_command(const mjModel *m, mjData *d, exported_t *board, const drive_t drives[AXES], int axis,
+                   coupled_axis_t states[AXES])
+{
+    const drive_t *drive = &drives[axis];
+    coupled_axis_t *of = &states[axis];
     watch_faults(m, d, drive, of, board);
-    of->substate = (state == STATE_RUN) ? exported_number(board, drive->substate) : SUBSTATE_FREEWHEEL;
+    of->substate = (exported_number(board, drive->state) == STATE_RUN) ? exported_number(board, drive->substate)
+                                                                       : SUBSTATE_FREEWHEEL;
     watch_calibration(m, d, drive, of);
-    if (of->substate != SUBSTATE_SPIN) {
+    if (!searched(board, drives, axis, states) || of->substate != SUBSTATE_SPIN) {
         of->path = PATH_NONE;
         return;
     }

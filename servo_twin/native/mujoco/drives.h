@@ -14,9 +14,11 @@
 
 typedef struct {
     int actuator; /* -1: none */
+    bool shares; /* the other motor of the board turns the same shaft */
     control_mode_t mode;
     home_method_t home; /* after the rotor search */
-    uint32_t state, substate, faults, position, enable, mode_command, set_point, pole_pairs; /* value references */
+    uint32_t state, substate, faults, position, enable, mode_command, set_point; /* value references */
+    uint32_t pole_pairs, inertia; /* of the plant */
     uint32_t home_command, home_result, home_state;
     uint32_t tick, point_refusal; /* of the board */
 } drive_t;
@@ -33,6 +35,15 @@ enum {
     HOMING_ENDED
 };
 
+/* A search bears no current of another motor at its shaft: they search one after the other, and the first one is then without
+ * torque until the second search has ended. */
+enum {
+    SEARCH_WAITS, /* for the search of the other motor */
+    SEARCH_RUNS,
+    SEARCH_ENDED,
+    SEARCH_LEFT /* the axis has its mode */
+};
+
 /* State of a drive. */
 typedef struct {
     double torque; /* for the next step: mean of the air gap in the last one, and of the holding brake [N m] */
@@ -44,9 +55,21 @@ typedef struct {
     uint64_t too_fast; /* 1: the joint, for the shaft */
     uint64_t refused; /* 1: the last set-point */
     uint64_t homing; /* HOMING_* */
+    uint64_t search; /* SEARCH_* */
     uint64_t path; /* PATH_*: the control signal is sent as points */
     double last, before; /* control signal one point ago, and two */
 } coupled_axis_t;
+
+/* The joints whose motion is that of the motor of an actuator: its own, or those of its tendon. Angle of the motor: sum of the
+ * ratios times the positions. */
+int drive_joints(const mjModel *m, int actuator);
+int drive_joint(const mjModel *m, int actuator, int k, double *ratio);
+
+/* Ratio of the gearbox [1], or turns of the motor per way [rad/m]. */
+double drive_gear(const mjModel *m, int actuator);
+
+/* True if the group of an actuator is disabled. MuJoCo asks plugins for forces all the same. */
+bool drive_disabled(const mjModel *m, int actuator);
 
 /* Angle [rad] and speed [rad/s] of the motor of an actuator. */
 void drive_motion(const mjModel *m, const mjData *d, int actuator, double *theta, double *omega);
@@ -61,9 +84,9 @@ void drive_shaft(const mjModel *m, const mjData *d, board_t *board, const drive_
 /* Inertia of all that the motor of an actuator moves, at its shaft [kg m^2]. */
 double drive_inertia(const mjModel *m, mjData *d, int actuator);
 
-/* Enable the axis, wait until its rotor is found, home it, then give it the control signal. */
-void drive_command(const mjModel *m, const mjData *d, exported_t *board, const drive_t *drive, int axis,
-                   coupled_axis_t *of);
+/* Enable an axis, wait until its rotor is found, home it, then give it the control signal. */
+void drive_command(const mjModel *m, mjData *d, exported_t *board, const drive_t drive[AXES], int axis,
+                   coupled_axis_t of[AXES]);
 
 /* Send the previous control signals as points; after a refusal the shafts are moved to their control signals first. */
 void drive_follow(const mjModel *m, const mjData *d, const drive_t drive[AXES], coupled_axis_t of[AXES],

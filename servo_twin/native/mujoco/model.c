@@ -59,30 +59,94 @@ static const char *config(const mjModel *m, int instance, const char *name)
     return (text != NULL) ? text : "";
 }
 
+/* True if two actuators turn the same joint, or pull the same tendon. */
+static bool same_target(const mjModel *m, int one, int other)
+{
+    return (m->actuator_trntype[one] == mjTRN_TENDON) == (m->actuator_trntype[other] == mjTRN_TENDON) &&
+           m->actuator_trnid[2 * one] == m->actuator_trnid[2 * other];
+}
+
+/* True if an equality constraint ties the joints, or the tendons, of two actuators. */
+static bool tied(const mjModel *m, int one, int other)
+{
+    const bool tendon = m->actuator_trntype[one] == mjTRN_TENDON;
+    const int a = m->actuator_trnid[2 * one];
+    const int b = m->actuator_trnid[2 * other];
+    bool found = false;
+    for (int k = 0; k < (int)m->neq; k++) {
+        const int first = m->eq_obj1id[k];
+        const int second = m->eq_obj2id[k];
+        found |= m->eq_type[k] == (tendon ? mjEQ_TENDON : mjEQ_JOINT) &&
+                 ((first == a && second == b) || (first == b && second == a));
+    }
+    return found && tendon == (m->actuator_trntype[other] == mjTRN_TENDON);
+}
+
+/* A shaft without friction does not stay at rest for the second search: the first motor has an offset of torque. */
+static bool has_friction(const mjModel *m, int actuator)
+{
+    const int target = m->actuator_trnid[2 * actuator];
+    bool found = m->actuator_trntype[actuator] == mjTRN_TENDON && m->tendon_frictionloss[target] > 0.0;
+    for (int k = 0; k < drive_joints(m, actuator); k++) {
+        double ratio;
+        found |= m->dof_frictionloss[m->jnt_dofadr[drive_joint(m, actuator, k, &ratio)]] > 0.0;
+    }
+    return found;
+}
+
+/* Whether the motors of one shaft search one after the other. NULL, or what is wrong. */
+static const char *take_shaft(const mjModel *m, int instance, drive_t drive[AXES], const char **where)
+{
+    const int one = drive[0].actuator;
+    const int other = drive[1].actuator;
+    const char *text = config(m, instance, "shaft");
+    const bool shared = strcmp(text, "SHARED") == 0;
+    *where = "shaft";
+    if (text[0] != '\0' && (!shared || one < 0 || other < 0)) {
+        return shared ? "a board with one actuator shares no shaft" : "write SHARED if both motors turn one shaft";
+    }
+    drive[0].shares = one >= 0 && other >= 0 &&
+                      (shared || (has_friction(m, one) && (same_target(m, one, other) || tied(m, one, other))));
+    drive[1].shares = drive[0].shares;
+    return NULL;
+}
+
 /* True if a board that this one does not know of is at the joint of an actuator. */
 static bool another_board(const mjModel *m, int instance, int actuator)
 {
-    for (int k = 0; k < (int)m->nu; k++) {
+    for (int k = 0; k < (int)m->nactuator; k++) {
         const int other = m->actuator_plugin[k];
-        if (other >= 0 && other != instance && m->plugin[other] == m->plugin[instance] &&
-            m->actuator_trntype[k] == mjTRN_JOINT && m->actuator_trnid[2 * k] == m->actuator_trnid[2 * actuator]) {
+        if (other >= 0 && other != instance && m->plugin[other] == m->plugin[instance] && same_target(m, k, actuator)) {
             return true;
         }
     }
     return false;
 }
 
+/* True for a hinge or a slide, or a tendon of such joints: lengths that are linear in the positions. */
+static bool is_linear(const mjModel *m, int actuator)
+{
+    const int type = m->actuator_trntype[actuator];
+    const int target = m->actuator_trnid[2 * actuator];
+    if (type == mjTRN_TENDON) {
+        return m->wrap_type[m->tendon_adr[target]] == mjWRAP_JOINT; /* then all are */
+    }
+    return (type == mjTRN_JOINT || type == mjTRN_JOINTINPARENT) &&
+           (m->jnt_type[target] == mjJNT_HINGE || m->jnt_type[target] == mjJNT_SLIDE);
+}
+
 static const char *refuse_drive(const mjModel *m, int instance, int actuator)
 {
-    const int joint = m->actuator_trnid[2 * actuator];
     if (actuator < 0 || m->actuator_plugin[actuator] != instance) {
         return "no actuator of this plugin instance has this name";
     }
-    if (m->actuator_trntype[actuator] != mjTRN_JOINT ||
-        (m->jnt_type[joint] != mjJNT_HINGE && m->jnt_type[joint] != mjJNT_SLIDE)) {
-        return "a motor turns a hinge or a slide; write joint=... of one of them";
+    if (!is_linear(m, actuator)) {
+        return "a motor turns a hinge or a slide, or pulls a fixed tendon; write joint=... or tendon=... of one of them";
     }
-    const double gear = m->actuator_gear[6 * actuator];
+    if (m->actuator_dyntype[actuator] != mjDYN_NONE || m->actuator_actnum[actuator] > 0) {
+        return "the actuator has an activation, but the firmware takes ctrl; remove dyntype and actdim";
+    }
+    const double gear = drive_gear(m, actuator);
     if (gear == 0.0 || !isfinite(gear)) {
         return "the gear is 0 or no number; write the ratio of the gearbox, for example gear=\"100\"";
     }
@@ -114,12 +178,24 @@ void model_take_modes(const mjModel *m, int instance, drive_t drive[AXES])
     }
 }
 
+/* An actuator of an instance by its name, or by the end of it: a model that is attached to another one gets a prefix. -1: none. */
+static int named_actuator(const mjModel *m, int instance, const char *name)
+{
+    int found = mj_name2id(m, mjOBJ_ACTUATOR, name);
+    for (int k = 0; k < (int)m->nactuator && (found < 0 || m->actuator_plugin[found] != instance); k++) {
+        const char *own = m->names + m->name_actuatoradr[k];
+        const size_t more = (strlen(own) > strlen(name)) ? strlen(own) - strlen(name) : 0;
+        found = (m->actuator_plugin[k] == instance && strcmp(own + more, name) == 0) ? k : found;
+    }
+    return found;
+}
+
 /* "ACTUATOR [MODE]" of an axis. NULL, or what is wrong. */
 static const char *take_drive(const mjModel *m, int instance, drive_t *drive, const char *text)
 {
     char name[TEXT_MAX];
     drive->mode = take_mode(name, text);
-    drive->actuator = mj_name2id(m, mjOBJ_ACTUATOR, name);
+    drive->actuator = named_actuator(m, instance, name);
     return (drive->actuator < 0)
                ? "no actuator has this name; write \"ACTUATOR [POSITION | SPEED | TORQUE | TRAJECTORY]\""
                : refuse_drive(m, instance, drive->actuator);
@@ -162,7 +238,7 @@ static const char *take_drives(const mjModel *m, int instance, model_t *model, c
             }
         }
     }
-    for (int k = 0; k < (int)m->nu; k++) {
+    for (int k = 0; k < (int)m->nactuator; k++) {
         if (m->actuator_plugin[k] != instance) {
             continue;
         }
@@ -339,18 +415,23 @@ static const char *check_pins(const model_t *model, const exported_t *board, int
 /* The rotors of the axes at the joint of an actuator are in its inertia. */
 static const char *check_joint(const mjModel *m, model_t *model, const exported_t *board, int axis)
 {
-    const int joint = m->actuator_trnid[2 * model->drive[axis].actuator];
+    const int at = model->drive[axis].actuator;
+    const int target = m->actuator_trnid[2 * at];
+    const bool tendon = m->actuator_trntype[at] == mjTRN_TENDON;
     double least = 0.0;
+    double armature = tendon ? m->tendon_armature[target] : m->dof_armature[m->jnt_dofadr[target]];
     for (int k = 0; k < AXES; k++) {
         const int actuator = model->drive[k].actuator;
-        if (actuator >= 0 && m->actuator_trnid[2 * actuator] == joint) {
-            const double gear = m->actuator_gear[6 * actuator];
+        if (actuator >= 0 && same_target(m, actuator, at)) {
+            const double gear = drive_gear(m, actuator);
             least += gear * gear * exported_number(board, of_plant(k, "inertia"));
+            armature += gear * gear * m->actuator_armature[actuator];
         }
     }
-    if (m->dof_armature[m->jnt_dofadr[joint]] < (1.0 - INERTIA_TOLERANCE) * least) {
+    if (armature < (1.0 - INERTIA_TOLERANCE) * least) {
         (void)snprintf(model->text, sizeof model->text,
-                       "the joint has less than the inertia of its rotors; write armature=\"%g\"", least);
+                       "the %s has less than the inertia of its rotors; write armature=\"%g\"",
+                       tendon ? "tendon" : "joint", least);
         return model->text;
     }
     return (exported_number(board, of_plant(axis, "load_inertia")) > 0.0)
@@ -385,6 +466,7 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
         static const char *const keys[AXES] = {"axis1.home", "axis2.home"};
         problem = take_home(m, instance, &model->drive[axis], keys[axis], where);
     }
+    problem = (problem == NULL) ? take_shaft(m, instance, model->drive, where) : problem;
     problem = (problem == NULL) ? model_take_sensors(m, instance, &model->sensors, where) : problem;
     problem = (problem == NULL) ? model_configure(m, instance, board, where) : problem;
     problem = (problem == NULL) ? take_inputs(m, instance, model, board, where) : problem;
@@ -411,6 +493,7 @@ const char *model_take(const mjModel *m, int instance, model_t *model, exported_
         drive->home_state = of_axis(axis, "home_state");
         drive->set_point = of_axis(axis, set_points[drive->mode]);
         drive->pole_pairs = of_plant(axis, "pole_pairs");
+        drive->inertia = of_plant(axis, "inertia");
         drive->tick = exported_variable("tick")->reference;
         drive->point_refusal = exported_variable("point_refusal")->reference;
     }

@@ -340,7 +340,7 @@ static void plugin_advance(const mjModel *m, mjData *d, int instance)
         const drive_t *drive = &own->model.drive[axis];
         if (drive->actuator >= 0) {
             board_truth_t truth;
-            drive_command(m, d, own->board, drive, axis, &head.axis[axis]);
+            drive_command(m, d, own->board, own->model.drive, axis, head.axis);
             drive_shaft(m, d, board, drive, axis, &head.axis[axis]);
             board_truth(board, axis, &truth);
             impulse[axis] = truth.impulse_e;
@@ -370,8 +370,10 @@ static void plugin_compute(const mjModel *m, mjData *d, int instance, int capabi
     if (capability == mjPLUGIN_ACTUATOR) {
         (void)head_of(state_of(m, d, instance), &head);
         for (int axis = 0; axis < AXES; axis++) {
-            if (own->model.drive[axis].actuator >= 0) {
-                d->actuator_force[own->model.drive[axis].actuator] = head.axis[axis].torque;
+            const int actuator = own->model.drive[axis].actuator;
+            if (actuator >= 0) {
+                d->actuator_force[m->actuator_outadr[actuator]] =
+                    drive_disabled(m, actuator) ? 0.0 : head.axis[axis].torque;
             }
         }
         return;
@@ -395,11 +397,11 @@ static int plugin_nsensordata(const mjModel *m, int instance, int sensor)
 
 mjPLUGIN_LIB_INIT(servo_board)
 {
-    static const char *attributes[4 * EXPORTED_BLOCK] = {"axis1",   "axis2",  "axis1.home", "axis2.home",
+    static const char *attributes[4 * EXPORTED_BLOCK] = {"axis1",   "axis2",  "axis1.home", "axis2.home", "shaft",
                                                          "sensors", "inputs", "userdata",   "level"};
     size_t n;
     const exported_variable_t *variables = exported_variables(&n);
-    int count = 8;
+    int count = 9;
     for (size_t k = 0; k < n; k++) {
         if (model_configurable(&variables[k])) {
             attributes[count++] = variables[k].name;

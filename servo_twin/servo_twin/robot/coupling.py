@@ -111,13 +111,16 @@ class RobotDrives:
         ids = [_actuator(model, self.boards, drive) for drive in self.drives]
         joints = [int(model.actuator_trnid[i, 0]) for i in ids]
         _check_joints(model, self.drives, joints)
-        self.gear = np.array([model.actuator_gear[i, 0] for i in ids])
+        self.gear = np.array([model.actuator_gear[model.actuator_outadr[i], 0] for i in ids])
         self._qpos = np.array([model.jnt_qposadr[joint] for joint in joints], dtype=np.intp)
         self._qvel = np.array([model.jnt_dofadr[joint] for joint in joints], dtype=np.intp)
         self._act = np.array([model.actuator_actadr[i] for i in ids], dtype=np.intp)
         self.channels = np.array([model.actuator_ctrladr[i] for i in ids], dtype=np.intp)
         self._limits = np.array(
-            [model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-math.inf, math.inf) for i in ids]
+            [
+                model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-math.inf, math.inf)
+                for i in self.channels
+            ]
         ).reshape(-1, 2)
         self._where = [(self.boards[drive.axis // AXES], drive.axis % AXES) for drive in self.drives]
         dofs = [int(model.jnt_dofadr[joint]) for joint in joints]
@@ -473,13 +476,13 @@ def _actuator(model: Any, boards: Sequence[Board], drive: Drive) -> int:
         )
     actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, drive.actuator)
     if actuator < 0:
-        known = ", ".join(model.actuator(i).name or "(no name)" for i in range(model.nu)) or "none"
+        known = ", ".join(model.actuator(i).name or "(no name)" for i in range(model.nactuator)) or "none"
         raise CouplingError(f"{where}: not in the model; its actuators: {known}")
     slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
     joint = int(model.actuator_trnid[actuator, 0])
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT or model.jnt_type[joint] not in (slide, hinge):
         raise CouplingError(f"{where}: a motor turns a hinge or a slide; write joint=... of one of them")
-    gear = float(model.actuator_gear[actuator, 0])
+    gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0])
     if gear == 0.0 or not math.isfinite(gear):
         raise CouplingError(f'{where}: the gear is {gear:g}; write the ratio of the gearbox, for example gear="100"')
     if (

@@ -134,7 +134,9 @@ class RobotModel:
         result = np.zeros(self.model.nu)
         for drive in self.drives:
             if drive.axis in self.feedback:
-                result[self.model.actuator(drive.actuator).id] = -self.feedback[drive.axis] @ state
+                result[self.model.actuator_ctrladr[self.model.actuator(drive.actuator).id]] = (
+                    -self.feedback[drive.axis] @ state
+                )
         return result
 
     def start(self) -> Any:
@@ -216,7 +218,9 @@ class RobotModel:
             if drive.axis in lengths:
                 actuator = self.model.actuator(drive.actuator).id
                 joint = self.model.jnt_qposadr[self.model.actuator_trnid[actuator, 0]]
-                data.qpos[joint] = lengths[drive.axis] / self.model.actuator_gear[actuator, 0]
+                data.qpos[joint] = (
+                    lengths[drive.axis] / self.model.actuator_gear[self.model.actuator_outadr[actuator], 0]
+                )
         mujoco.mj_forward(self.model, data)
         self.release(data)
         return RobotDrives(self.model, data, board, drives)
@@ -227,10 +231,10 @@ class RobotModel:
         A position that is counted from where the rotor was found belongs to a robot that began in its initial state;
         the home position is at length 0 of the actuator.
         """
-        start = self.start().actuator_length
+        start = self.start()
         lengths = {
             drive.axis: shafts[drive.axis].theta
-            + (0.0 if shafts[drive.axis].referenced else float(start[self.model.actuator(drive.actuator).id]))
+            + (0.0 if shafts[drive.axis].referenced else float(start.actuator(drive.actuator).length[0]))
             for drive in self.drives
             if drive.axis in shafts
         }
@@ -261,7 +265,7 @@ class RobotModel:
             actuator = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, drive.actuator)
             if actuator >= 0:  # otherwise refused by RobotDrives
                 board, axis = divmod(drive.axis, AXES)
-                plants[board] = plants[board].with_axis(axis, theta_start=float(data.actuator_length[actuator]))
+                plants[board] = plants[board].with_axis(axis, theta_start=float(data.actuator(actuator).length[0]))
         return plants
 
     def _servo_config(self, board: int) -> ServoConfig | None:
