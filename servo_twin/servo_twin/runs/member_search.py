@@ -11,6 +11,7 @@ for bit the value cannot be found: a difference of one count of the encoder soon
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -26,7 +27,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_msgs_py import topics
 from servo_twin.board import BoardError, SimulationError
 from servo_twin.lockstep.blocks import TAKE
-from servo_twin.runs.recorded import RecordedRun, message_of
+from servo_twin.runs.recorded import RecordedRun, messages_in_order
 from servo_twin.runs.replay import (
     REPLAYED,
     Explained,
@@ -159,11 +160,7 @@ class _Search:
 
 def _beginning(run: RecordedRun, end: int) -> Iterator[tuple[str, Any]]:
     """Names and messages of a run up to a tick."""
-    for name, record in run.records(*REPLAYED):
-        try:
-            message = message_of(record, name)
-        except ValueError:
-            continue  # the replay has said so
+    for name, _, message in messages_in_order(run, REPLAYED, Counter()):  # the replay has said what is left out
         if name == topics.WINDING_TEMPERATURES:
             continue  # those of the twin are exact, the recorded ones are rounded
         yield name, message

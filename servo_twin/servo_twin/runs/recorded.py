@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from bisect import insort
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from servo_msgs_py.blocks_message import blocks_from_message
+from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.run_file.definitions import decoded
 from servo_msgs_py.run_file.reader import Record, RunReader
 from servo_msgs_py.run_file.run_info import RunInfo, RunInfoError, run_info, string_of
@@ -17,8 +21,11 @@ from servo_msgs_py.run_file.topic import type_of
 from servo_msgs_py import topics
 from servo_twin.lockstep.blocks import Blocks
 from servo_twin.lockstep.board_topics import BOARD_TOPICS
+from servo_twin.runs.sample_order import Place, SampleOrder
 
 DEFAULT_NAMESPACE: Final = "/servo"
+_HELD: Final = 64
+"""Messages of samples that are held back: at least 0.3 s, and 1.4 s of a bridge, which sends four samples in one."""
 
 _MEANING: Final = {
     topics.COMMANDS_APPLIED: "commands cannot be repeated: only the stretches without one can be replayed",
@@ -131,6 +138,74 @@ def message_of(record: Record, name: str) -> Any:
     if record.type != expected:
         raise ValueError(f"a message has the type {record.type} instead of {expected}; it is of another version")
     return decoded(record.data, record.type)
+
+
+class ReplayedMessage(NamedTuple):
+    """A message for the twin."""
+
+    name: str  # of its topic, relative
+    record: Record
+    message: Any  # decoded
+
+
+def messages_in_order(run: RecordedRun, names: Collection[str], troubles: Counter[str]) -> Iterator[ReplayedMessage]:
+    """Messages for the twin, which needs commands before the samples that count them, and samples by tick.
+
+    Recorders do not keep the order between topics, and other tools not even that within one. Samples are held back
+    until `_HELD` others have followed, or the board was reset.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    names : collection of str
+        Relative names of topics in `BOARD_TOPICS`.
+    troubles : Counter
+        Collects what is left out, and why.
+    """
+    order = SampleOrder()
+    held: list[tuple[float, ReplayedMessage]] = []  # by the first tick
+    released = -math.inf  # last tick
+    for name, record in run.records(*names):
+        try:
+            item = ReplayedMessage(name, record, message_of(record, name))
+            ticks = _ticks(item.message) if name == topics.SNAPSHOT else None
+        except ValueError as error:
+            troubles[f"{record.topic}: {error}"] += 1
+            continue
+        if ticks is None:
+            if name == topics.WINDING_TEMPERATURES and held:  # belong to the samples before
+                held.append((held[-1][0], item))
+            else:
+                yield item
+            continue
+        place = order.place(*ticks, record.time_ns)
+        if place is Place.RESET:
+            yield from (each for _, each in held)
+            yield item
+            held, released = [], ticks[1]
+        elif ticks[0] > released and all(tick != ticks[0] for tick, _ in held):
+            insort(held, (ticks[0], item), key=itemgetter(0))
+        else:
+            troubles["samples out of order or repeated are left out; rosbags-convert sorts a recording"] += 1
+        if len(held) > _HELD:
+            released, item = held.pop(0)
+            yield item
+    yield from (each for _, each in held)
+
+
+def _ticks(message: Any) -> tuple[float, float] | None:
+    """First and last tick of a table of samples; None if it has none that can be sorted.
+
+    Raises
+    ------
+    ValueError
+        If it is no table.
+    """
+    columns, table = snapshot_table(message)
+    if "tick" not in columns or not len(table):
+        return None
+    first, last = table[[0, -1], columns.index("tick")].tolist()
+    return (first, last) if math.isfinite(first + last) else None
 
 
 _TYPES: Final = {topic.name: type_of(topic.message) for topic in BOARD_TOPICS}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ import numpy as np
 from servo_msgs_py.axis_config import Member
 from servo_msgs_py.board_description import DEFAULT_BOARD, OtherBoardError, check_board
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-from servo_msgs_py.convert import AppliedCommand, snapshot_table
+from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.run_file.reader import Record
 from servo_msgs_py.run_file.run_info import VirtualBoard
 from servo_msgs_py.text_file import TextFileError, parse_toml
@@ -31,8 +30,7 @@ from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.robot.command import load_on_line
 from servo_twin.runs.divergence import Departure, Divergence, Estimates
-from servo_twin.runs.recorded import Contents, RecordedRun, RunError, message_of
-from servo_twin.runs.sample_order import Place, SampleOrder
+from servo_twin.runs.recorded import Contents, RecordedRun, RunError, messages_in_order
 from servo_twin.servo_config import ServoConfig, servo_table
 
 if TYPE_CHECKING:
@@ -319,7 +317,6 @@ class Replay:
         self._troubles: Counter[str] = Counter()
         self._synchronisation = 0
         self._open: Stretch | None = None
-        self._order = SampleOrder()
         self._ticks = array("q")  # of the newest sample of each message
         self._times = array("q")
 
@@ -332,20 +329,18 @@ class Replay:
             If the recording cannot be read.
         """
         try:
-            for name, record in self._run.records(*REPLAYED):
-                self._take(name, record)
+            for each in messages_in_order(self._run, REPLAYED, self._troubles):
+                self._take(*each)
             return self._finished()
         finally:
             self._twin.close()
 
-    def _take(self, name: str, record: Record) -> None:
+    def _take(self, name: str, record: Record, message: Any) -> None:
         if name == topics.WINDING_TEMPERATURES and self._twin.from_reset:
             return  # those of the twin are exact, the recorded ones are rounded
+        if name == topics.SNAPSHOT:
+            self._result.samples += message.layout.dim[0].size
         try:
-            message = message_of(record, name)
-            if name == topics.SNAPSHOT and not self._in_order(message, record.time_ns):
-                self._troubles["samples out of order or repeated are left out; rosbags-convert sorts a recording"] += 1
-                return
             REPLAYED[name].take(self._twin, message, self._catalogue)
         except ValueError as error:
             self._troubles[f"{record.topic}: {error}"] += 1
@@ -356,22 +351,6 @@ class Replay:
             self._ticks.append(newest)
             self._times.append(record.time_ns)
         self._step()
-
-    def _in_order(self, message: Any, time_ns: int) -> bool:
-        """Count the samples of a message; false if they do not follow on those before, or on a reset.
-
-        Raises
-        ------
-        ValueError
-            If it is no table.
-        """
-        columns, table = snapshot_table(message)
-        if "tick" in columns and len(table):
-            first, last = table[[0, -1], columns.index("tick")].tolist()
-            if math.isfinite(first + last) and self._order.place(first, last, time_ns) is Place.LATE:
-                return False
-        self._result.samples += len(table)
-        return True
 
     def _step(self) -> None:
         while True:
